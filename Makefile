@@ -13,7 +13,8 @@ version = $(shell $(1) -c 'import platform; print("-".join((platform.python_impl
 # wheels alone, so that no compiler is needed; nflows (of sbi) has none, and is plain Python
 INSTALL := PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet \
 	--disable-pip-version-check --only-binary=:all: --no-binary=nflows $(PIP_ARGS)
-PYTEST := $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
+# each core begins at another place, and takes half of what another has left when it is done
+PYTEST := $(BIN)/pytest -n auto --dist worksteal
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 # or every test worker and every command that a test starts would compile all again
@@ -31,7 +32,7 @@ demo: .venv/installed
 	$(BIN)/tunenet-review sample_logs/campaign -o demo/campaign.rrd
 	@echo "look at them: $(BIN)/rerun demo/drop.rrd"
 
-# types are checked beside the tests: one core is idle while the slowest test file ends
+# types are checked beside the tests
 test: .venv/developing
 	@$(MAKE) --no-print-directory -j3 style types suite
 

@@ -6,13 +6,12 @@ imports nothing of the project: a mistake here must not cancel out against the s
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from tests.c3d_writer import c3d_bytes
 
 # Where bodies or markers were, by name: metres, z up, NaN where unseen, shape (T, 3) each.
 Tracks = Mapping[str, ArrayLike]
@@ -21,21 +20,11 @@ Tracks = Mapping[str, ArrayLike]
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 
 # Which of a z-up world's axes stand in x, y and z: a turn, so that right hands stay right.
-_AXES = {
-    "x": (2, 0, 1),
-    "y": (1, 2, 0),
-    "z": (0, 1, 2),
-}
+_AXES = {"x": (2, 0, 1), "y": (1, 2, 0), "z": (0, 1, 2)}
 
 
 def oriented(xyz: ArrayLike, up: str = "z", unit: str = "m") -> NDArray[np.float64]:
-    """A track in a file's axes and unit.
-
-    Args:
-        xyz: metres, z up, shape (T, 3).
-        up: the file's axis that points up: "x", "y", "z", or "-x", "-y", "-z" for down.
-        unit: one of `UNITS_M`.
-    """
+    """A z-up track [m] in a file's axes and unit; `up` is "x", "y", "z", or "-x", ... for down."""
     turned = np.asarray(xyz, np.float64)[:, _AXES[up[-1]]] / UNITS_M[unit]
     if up.startswith("-"):
         at = "xyz".index(up[-1])
@@ -55,19 +44,9 @@ def write_motive(
     markers: Tracks | None = None,
     unlabeled: Tracks | None = None,
 ) -> None:
-    """OptiTrack Motive CSV.
+    """OptiTrack Motive CSV of rigid bodies, of markers by `Body:Marker1`, and of unnamed ones.
 
-    Args:
-        path: of the file.
-        seconds: of the frames, shape (T,).
-        tracks: rigid bodies.
-        rate_hz: of the frames.
-        unit: one of `UNITS_M`.
-        up: see `oriented`.
-        version: of the format; rows above the columns have no labels before 1.22, a parent from
-            1.25 on.
-        markers: of bodies, by `Body:Marker1`.
-        unlabeled: that no one named, by `Unlabeled 1234`.
+    Rows above the columns have no labels before version 1.22, a parent from 1.25 on.
     """
     names = {"m": "Meters", "cm": "Centimeters", "mm": "Millimeters", "in": "Inches", "ft": "Feet"}
     times = np.asarray(seconds, np.float64)
@@ -167,18 +146,9 @@ def write_qualisys(
     unseen: str = "",
     bodies: bool = False,
 ) -> None:
-    """Qualisys QTM TSV; the file never names its unit.
+    """Qualisys QTM TSV, which never names its unit; a 6DOF export where `bodies` is.
 
-    Args:
-        path: of the file.
-        seconds: of the frames, shape (T,).
-        tracks: markers, or rigid bodies where `bodies` is.
-        rate_hz: of the frames.
-        unit: QTM's own is mm.
-        up: see `oriented`.
-        has_columns: whether frame, time and the names of columns were asked for.
-        unseen: how a coordinate is written that was not seen: "", "0.000" or "NULL".
-        bodies: whether it is a 6DOF export.
+    `unseen` is how a coordinate is written that was not seen: "", "0.000" or "NULL".
     """
     times = np.asarray(seconds, np.float64)
     kind = "BODIES" if bodies else "MARKERS"
@@ -264,22 +234,13 @@ def write_c3d(
 ) -> None:
     """C3D, of floating or whole numbers, as processors of three kinds write them.
 
-    Args:
-        path: of the file.
-        seconds: of the frames, shape (T,); they begin at frame 1 plus what passed before them.
-        tracks: points.
-        rate_hz: of the frames.
-        unit: named in it.
-        up: see `oriented`.
-        processor: "intel", "dec" or "mips".
-        is_float: whether data are floating, not whole numbers of a tenth of a millimetre.
-        analogs: channels of other sensors, sampled once a frame.
+    Whole numbers are of a tenth of a millimetre; `analogs` are channels sampled once a frame.
     """
     scale = -1.0 if is_float else 1e-4 / UNITS_M[unit]
     points = {name: oriented(xyz, up, unit) for name, xyz in tracks.items()}
     first = round(float(np.asarray(seconds, np.float64)[0]) * rate_hz) + 1
     path.write_bytes(
-        c3d_bytes(points, first, rate_hz, unit, processor=processor, scale=scale, analogs=analogs)
+        _c3d_bytes(points, first, rate_hz, unit, processor=processor, scale=scale, analogs=analogs)
     )
 
 
@@ -299,3 +260,103 @@ SUFFIXES = {"motive": ".csv", "nexus": ".csv", "qualisys": ".tsv", "trc": ".trc"
 def _cells(row: Sequence[float] | NDArray[np.float64], digits: int, *, significant=False):
     form = f".{digits}{'g' if significant else 'f'}"
     return [f"{value:{form}}" if np.isfinite(value) else "" for value in row]
+
+
+# C3D, after its user guide: https://www.c3d.org/docs/C3D_User_Guide.pdf.
+_C3D_KINDS = {"intel": 84, "dec": 85, "mips": 86}
+
+
+def _c3d_bytes(
+    points: Mapping[str, NDArray[np.float64]],
+    first_frame: int,
+    rate_hz: float,
+    unit: str,
+    *,
+    processor: str = "intel",
+    scale: float = -1.0,
+    analogs: int = 0,
+) -> bytes:
+    """A whole file of points by name, in `unit`, NaN where unseen, shape (T, 3) each.
+
+    `scale` is of units for each step of whole numbers; negative for floating data.
+    """
+    names = list(points)
+    frames = len(next(iter(points.values())))
+    order = ">" if processor == "mips" else "<"
+    groups: dict[str, dict[str, bytes]] = {
+        "POINT": {
+            "USED": _words(order, len(names)),
+            "SCALE": _float(processor, scale),
+            "RATE": _float(processor, rate_hz),
+            "FRAMES": _words(order, min(65535, frames)),
+            "LABELS": _texts(names),
+            "UNITS": _texts([unit], is_one=True),
+        },
+        "ANALOG": {
+            "USED": _words(order, analogs),
+            "RATE": _float(processor, rate_hz),
+            "GEN_SCALE": _float(processor, 1.0),
+            "SCALE": _float(processor, *[1.0] * analogs),
+            "OFFSET": _words(order, *[0] * analogs),
+            "LABELS": _texts([f"Channel {at + 1}" for at in range(analogs)]),
+            "UNITS": _texts(["V"] * analogs),
+        },
+    }
+    records = b""
+    for number, (group, parameters) in enumerate(groups.items(), start=1):
+        records += _record(order, group, -number, b"\0")
+        for name, body in parameters.items():
+            records += _record(order, name, number, body + b"\0")
+    blocks = -(-(len(records) + 5) // 512)
+    section = bytes([1, 80, blocks, _C3D_KINDS[processor]]) + records
+    last = min(65535, first_frame + frames - 1)
+    header = b"\x02\x50" + struct.pack(f"{order}5H", len(names), analogs, first_frame, last, 10)
+    header += _floats(processor, np.array([scale]))
+    header += struct.pack(f"{order}2H", 2 + blocks, bool(analogs))
+    header += _floats(processor, np.array([rate_hz]))
+    rows = np.zeros((frames, 4 * len(names) + analogs))
+    for at, xyz in enumerate(points.values()):
+        is_seen = np.isfinite(xyz[:, :1])
+        rows[:, 4 * at : 4 * at + 3] = np.where(is_seen, xyz, 0) / (scale if scale > 0 else 1)
+        rows[:, 4 * at + 3] = np.where(is_seen[:, 0], 0, -1)
+    data = (
+        np.round(rows).astype(f"{order}i2").tobytes()
+        if scale > 0
+        else _floats(processor, rows.ravel())
+    )
+    whole = header.ljust(512, b"\0") + section.ljust(512 * blocks, b"\0") + data
+    return whole + bytes(-len(whole) % 512)
+
+
+def _record(order: str, name: str, group: int, body: bytes) -> bytes:
+    """A group or a parameter, with the way to the next."""
+    head = struct.pack("<bb", len(name), group) + name.encode()
+    return head + struct.pack(f"{order}H", len(body) + 2) + body
+
+
+def _words(order: str, *values: int) -> bytes:
+    return _shape(2, len(values)) + struct.pack(f"{order}{len(values)}H", *values)
+
+
+def _float(processor: str, *values: float) -> bytes:
+    return _shape(4, len(values)) + _floats(processor, np.array(values))
+
+
+def _shape(kind: int, count: int) -> bytes:
+    return struct.pack("<bB", kind, 0) if count == 1 else struct.pack("<bBB", kind, 1, count)
+
+
+def _texts(texts: Sequence[str], *, is_one: bool = False) -> bytes:
+    width = max(map(len, texts), default=0)
+    body = b"".join(text.encode().ljust(width) for text in texts)
+    shape = [width] if is_one else [width, len(texts)]
+    return struct.pack("<bB", -1, len(shape)) + bytes(shape) + body
+
+
+def _floats(processor: str, values: NDArray[np.float64]) -> bytes:
+    """Numbers of 32 bits; DEC's F format is IEEE's with 4 for 1 and its halves swapped."""
+    if processor == "mips":
+        return values.astype(">f4").tobytes()
+    if processor == "dec":
+        return (4 * values).astype("<f4").view("<u2").reshape(-1, 2)[:, ::-1].tobytes()
+    return values.astype("<f4").tobytes()

@@ -174,10 +174,7 @@ def phyphox_xlsx(path: Path, seconds: Sequence[float]) -> None:
     write_xlsx(
         path,
         {
-            "Simple": [
-                ["Start (s)", "Stop (s)", "Difference (s)"],
-                [times[0], times[1], gaps[0]],
-            ],
+            "Simple": [["Start (s)", "Stop (s)", "Difference (s)"], [times[0], times[1], gaps[0]]],
             "Multiple": [
                 ["Start (s)", *(f"Stop {n} (s)" for n in range(1, 6))],
                 [times[0], *stops],

@@ -45,12 +45,15 @@ def joints(phase: float = 0.0) -> tuple[Floats, Floats, Floats, Floats]:
     return times, np.sin(rows), np.cos(rows), 3 * np.sin(rows) + 1
 
 
-def write_hdf5(path: Path, arrays: Mapping[str, Any], **attributes: Any) -> None:
+def write_hdf5(
+    path: Path, arrays: Mapping[str, Any], attributes: Mapping[str, Any] | None = None
+) -> None:
+    """Arrays by their names, attributes by those of their groups and their own: `data@env`."""
     with h5py.File(path, "w") as file:
         for name, array in arrays.items():
-            file.create_dataset(name, data=array)
-        for name, value in attributes.items():
-            group, _, key = name.rpartition("__")
+            file[name] = array
+        for name, value in (attributes or {}).items():
+            group, _, key = name.partition("@")
             (file[group] if group else file).attrs[key] = value
 
 
@@ -72,12 +75,11 @@ def table_hdf5(path: Path) -> None:
 def matlab_73(path: Path) -> None:
     """As MATLAB saves with -v7.3: behind 512 bytes, columns first, classes as attributes."""
     times, places = drop()
+    arrays = {"t": times[:, None], "ball": places, "note": np.frombuffer(b"h\0i\0", "<u2")[None]}
     with h5py.File(path, "w", userblock_size=512) as file:
-        for name, array in {"t": times[:, None], "ball": places}.items():
+        for name, array in arrays.items():
             made = file.create_dataset(name, data=array.T)
-            made.attrs["MATLAB_class"] = np.bytes_("double")
-        note = file.create_dataset("note", data=np.frombuffer(b"h\0i\0", "<u2")[:, None])
-        note.attrs["MATLAB_class"] = np.bytes_("char")
+            made.attrs["MATLAB_class"] = np.bytes_("char" if name == "note" else "double")
         file.create_group("#refs#")["a"] = np.zeros(3)
     head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\x00\x02IM"
     with path.open("r+b") as file:
@@ -86,45 +88,49 @@ def matlab_73(path: Path) -> None:
 
 def robomimic(path: Path) -> None:
     """Demonstrations of an arm: data/demo_N/obs, at the environment's rate of control."""
-    with h5py.File(path, "w") as file:
-        arguments = {"env_name": "Lift", "type": 1, "env_kwargs": {"control_freq": 50}}
-        file.create_group("data").attrs["env_args"] = json.dumps(arguments)
-        for number in (0, 1, 10):
-            _, angles, speeds, torques = joints(number)
-            demo = file.create_group(f"data/demo_{number}")
-            demo.attrs["num_samples"] = len(angles)
-            demo["actions"] = angles + 1
-            demo["obs/robot0_joint_pos"] = angles
-            demo["obs/robot0_joint_vel"] = speeds
-            demo["obs/robot0_joint_torque"] = torques
-            demo["obs/agentview_image"] = np.zeros((len(angles), 4, 4, 3), "u1")
-        file["mask/train"] = np.array([b"demo_0", b"demo_1"])
+    arrays: dict[str, Any] = {"mask/train": np.array([b"demo_0", b"demo_1"])}
+    environment = {"env_name": "Lift", "type": 1, "env_kwargs": {"control_freq": 50}}
+    attributes: dict[str, Any] = {"data@env_args": json.dumps(environment)}
+    for number in (0, 1, 10):
+        _, angles, speeds, torques = joints(number)
+        demo = f"data/demo_{number}"
+        attributes[f"{demo}@num_samples"] = len(angles)
+        arrays |= {
+            f"{demo}/actions": angles + 1,
+            f"{demo}/obs/robot0_joint_pos": angles,
+            f"{demo}/obs/robot0_joint_vel": speeds,
+            f"{demo}/obs/robot0_joint_torque": torques,
+            f"{demo}/obs/agentview_image": np.zeros((len(angles), 4, 4, 3), "u1"),
+        }
+    write_hdf5(path, arrays, attributes)
 
 
 def isaac_lab(path: Path) -> None:
     """As its recorder manager exports episodes."""
-    arguments = {"env_name": "Isaac-Lift", "type": 2, "sim_args": {"dt": 0.01, "decimation": 2}}
+    environment = {"env_name": "Isaac-Lift", "type": 2, "sim_args": {"dt": 0.01, "decimation": 2}}
     _, angles, speeds, torques = joints()
-    with h5py.File(path, "w") as file:
-        file.create_group("data").attrs["env_args"] = json.dumps(arguments)
-        demo = file.create_group("data/demo_0")
-        demo["actions"] = angles + 1
-        demo["obs/joint_effort"] = torques
-        demo["states/articulation/robot/joint_position"] = angles
-        demo["states/articulation/robot/joint_velocity"] = speeds
-        demo["initial_state/articulation/robot/joint_position"] = angles[:1]
+    demo, robot = "data/demo_0", "articulation/robot"
+    arrays = {
+        f"{demo}/actions": angles + 1,
+        f"{demo}/obs/joint_effort": torques,
+        f"{demo}/states/{robot}/joint_position": angles,
+        f"{demo}/states/{robot}/joint_velocity": speeds,
+        f"{demo}/initial_state/{robot}/joint_position": angles[:1],
+    }
+    write_hdf5(path, arrays, {"data@env_args": json.dumps(environment)})
 
 
 def aloha(path: Path) -> None:
     """An episode of ACT and ALOHA, which says no rate."""
     _, angles, speeds, torques = joints()
-    with h5py.File(path, "w") as file:
-        file.attrs["sim"] = False
-        file["observations/qpos"] = angles
-        file["observations/qvel"] = speeds
-        file["observations/effort"] = torques
-        file["observations/images/top"] = np.zeros((len(angles), 4, 4, 3), "u1")
-        file["action"] = angles + 1
+    arrays = {
+        "observations/qpos": angles,
+        "observations/qvel": speeds,
+        "observations/effort": torques,
+        "observations/images/top": np.zeros((len(angles), 4, 4, 3), "u1"),
+        "action": angles + 1,
+    }
+    write_hdf5(path, arrays, {"@sim": False})
 
 
 def _drop_table() -> Any:
@@ -140,20 +146,16 @@ def feather(path: Path) -> None:
     pyarrow.feather.write_feather(_drop_table(), path)
 
 
-def arrow_file(path: Path) -> None:
+def _arrow(kind: str, path: Path) -> None:
     import pyarrow as pa
 
     table = _drop_table()
-    with pa.ipc.new_file(path, table.schema) as writer:
+    with getattr(pa.ipc, kind)(path, table.schema) as writer:
         writer.write_table(table, max_chunksize=100)
 
 
 def arrow_stream(path: Path) -> None:
-    import pyarrow as pa
-
-    table = _drop_table()
-    with pa.ipc.new_stream(path, table.schema) as writer:
-        writer.write_table(table, max_chunksize=100)
+    _arrow("new_stream", path)
 
 
 def tensors(path: Path) -> None:
@@ -171,23 +173,22 @@ def rerun_points(path: Path) -> None:
     stream = rr.RecordingStream("lab")
     stream.save(path)
     index = rr.TimeColumn("time", duration=times)
-    columns = rr.Points3D.columns(positions=places)
-    stream.send_columns("world/ball", indexes=[index], columns=columns)
-    stream.send_columns(
-        "motor/load", indexes=[index], columns=rr.Scalars.columns(scalars=0 * times)
-    )
+    for entity, columns in (
+        ("world/ball", rr.Points3D.columns(positions=places)),
+        ("motor/load", rr.Scalars.columns(scalars=0 * times)),
+    ):
+        stream.send_columns(entity, indexes=[index], columns=columns)
     stream.flush()
     del stream
 
 
 def write_ulog(path: Path, topics: Mapping[str, Mapping[str, Any]]) -> None:
     """Write topics; times are `timestamp` [µs], other fields floats, lists `NAME[N]`."""
-    data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
 
     def message(kind: bytes, body: bytes) -> bytes:
         return struct.pack("<H", len(body)) + kind + body
 
-    data += message(b"B", bytes(40))
+    data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
     for name, fields in topics.items():
         words = [f"{name}:uint64_t timestamp"]
         for field, values in fields.items():
@@ -209,29 +210,17 @@ def ulog(path: Path) -> None:
     """A ball that a motion capture system sends to an autopilot, and its battery."""
     times, places = drop()
     stamps = np.round(times * 1e6) + 5_000_000
-    write_ulog(
-        path,
-        {
-            "vehicle_mocap_odometry": {"timestamp": stamps, "position": places},
-            "battery_status": {"timestamp": stamps[::10], "voltage_v": 0 * stamps[::10] + 12},
-        },
-    )
+    battery = {"timestamp": stamps[::10], "voltage_v": 0 * stamps[::10] + 12}
+    ball = {"timestamp": stamps, "position": places}
+    write_ulog(path, {"vehicle_mocap_odometry": ball, "battery_status": battery})
 
 
 # By the name of the file that each of them writes.
 DROPS: dict[str, Callable[[Path], None]] = {
-    "plain.h5": plain_hdf5,
-    "table.h5": table_hdf5,
-    "saved.mat": matlab_73,
-    "drop.feather": feather,
-    "drop.arrow": arrow_file,
-    "drop.arrows": arrow_stream,
-    "drop.pt": tensors,
-    "drop.rrd": rerun_points,
-    "drop.ulg": ulog,
-}
+    "plain.h5": plain_hdf5, "table.h5": table_hdf5, "saved.mat": matlab_73, "drop.feather": feather,
+    "drop.arrow": lambda path: _arrow("new_file", path), "drop.arrows": arrow_stream,
+    "drop.pt": tensors, "drop.rrd": rerun_points, "drop.ulg": ulog,
+}  # fmt: skip
 ARMS: dict[str, Callable[[Path], None]] = {
-    "robomimic.hdf5": robomimic,
-    "isaac_lab.hdf5": isaac_lab,
-    "aloha.hdf5": aloha,
-}
+    "robomimic.hdf5": robomimic, "isaac_lab.hdf5": isaac_lab, "aloha.hdf5": aloha,
+}  # fmt: skip

@@ -99,14 +99,7 @@ _ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
 def packets(
     pictures: Iterable[np.ndarray], codec: str, keyframe_every: int = 30, b_frames: int = 0
 ) -> Iterator[tuple[int, bytes]]:
-    """(number of the picture, packet) in the order in which an encoder sends them.
-
-    Args:
-        pictures: RGB, shape (H, W, 3).
-        codec: as a message says it.
-        keyframe_every: pictures from one that stands alone to the next.
-        b_frames: pictures in a row that need a later one.
-    """
+    """(number of the picture, packet) in the order in which an encoder sends them."""
     name, options = _ENCODERS[codec]
     encoder: Any = None
     for number, pixels in enumerate(pictures):
@@ -236,15 +229,7 @@ def write_pictures_folder(
 
 
 def write_video_file(path: Path, pictures: Taken, codec: str, rate_hz: int, **options: str) -> Path:
-    """A video file of H.264 or the like, its stamps those of the pictures to 1/90000 s.
-
-    Args:
-        path: its suffix names the container.
-        pictures: with even stamps at `rate_hz` where the container has no other.
-        codec: as FFmpeg calls its encoder.
-        rate_hz: how the file says that it plays.
-        options: the encoder's, and `pix_fmt`.
-    """
+    """A video file of H.264 or the like, its stamps those of the pictures to 1/90000 s."""
     clock = Fraction(1, rate_hz if path.suffix == ".avi" else 90_000)
     pixel_format = options.pop("pix_fmt", "yuv420p")
     with av.open(str(path), "w") as container:

@@ -3,70 +3,13 @@
 import re
 
 # First words of a clause that tells a user what to do.
-ORDERS = frozenset(
-    [
-        "add",
-        "ask",
-        "calibrate",
-        "check",
-        "choose",
-        "close",
-        "convert",
-        "copy",
-        "correct",
-        "create",
-        "cut",
-        "decrypt",
-        "drop",
-        "export",
-        "film",
-        "filter",
-        "free",
-        "give",
-        "hold",
-        "install",
-        "keep",
-        "leave",
-        "let",
-        "link",
-        "lower",
-        "make",
-        "mark",
-        "measure",
-        "mend",
-        "mount",
-        "move",
-        "name",
-        "number",
-        "open",
-        "pass",
-        "pip",
-        "put",
-        "record",
-        "recover",
-        "rename",
-        "replace",
-        "report",
-        "rewrite",
-        "run",
-        "save",
-        "say",
-        "see",
-        "select",
-        "set",
-        "shorten",
-        "split",
-        "take",
-        "track",
-        "try",
-        "tune",
-        "unpack",
-        "use",
-        "wait",
-        "widen",
-        "write",
-    ]
-)
+_ORDERS = """
+add ask calibrate check choose close convert copy correct create cut decrypt drop export film
+filter free give hold install keep leave let link lower make mark measure mend mount move name
+number open pass pip put record recover rename replace report rewrite run save say see select
+set shorten split take track try tune unpack use wait widen write
+"""
+ORDERS = frozenset(_ORDERS.split())
 
 _CONDITION = re.compile(r"(?:if|where|first|then|or|and|either)\b[^,;:]*, |first ", re.I)
 

@@ -7,9 +7,10 @@ import gzip
 import json
 import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import lz4.frame
@@ -22,6 +23,8 @@ from tests.export_writers_video import FilmedTrack, phyphox_xlsx, write_xlsx
 
 SECONDS = np.arange(24) / 60
 BALL = np.column_stack([0 * SECONDS, 0.1 * SECONDS, 1 - 4.9 * SECONDS**2])
+ARRAYS: dict[str, Any] = {"t": SECONDS, "ball": BALL, "q": np.ones((24, 3))}
+ROWS: list[tuple[float, list[float]]] = list(zip(SECONDS.tolist(), BALL.tolist(), strict=True))
 
 
 def _captured(layout: str, path: Path) -> None:
@@ -32,69 +35,47 @@ def _filmed(writer: Callable[[Path, FilmedTrack], None], path: Path) -> None:
     writer(path, FilmedTrack(SECONDS, {"A": BALL, "B": BALL + 1}, rate_hz=60))
 
 
-def _arrays() -> dict[str, np.ndarray]:
-    return {"t": SECONDS, "ball": BALL, "q": np.ones((24, 3))}
-
-
-def _npy(path: Path) -> None:
-    np.save(path, np.column_stack([SECONDS, BALL]))
-
-
-def _npz(path: Path) -> None:
-    np.savez_compressed(path, **_arrays())  # type: ignore[arg-type]
-
-
 def _mat(path: Path, *, form: str = "5", packed: bool = False) -> None:
     import scipy.io
 
-    scipy.io.savemat(path, {"run": {**_arrays()}} if form == "5" else _arrays(),
-                     format=form, do_compression=packed)  # fmt: skip
-
-
-def _json_lines(path: Path) -> None:
-    rows = zip(SECONDS.tolist(), BALL.tolist(), strict=True)
-    path.write_text("".join(json.dumps({"t": t, "ball": xyz}) + "\n" for t, xyz in rows))
+    arrays = {"run": {**ARRAYS}} if form == "5" else ARRAYS
+    scipy.io.savemat(path, arrays, format=form, do_compression=packed)
 
 
 def _parquet(path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    columns = {"timestamp": SECONDS, "x": BALL[:, 0], "z": BALL[:, 2]}
-    pq.write_table(pa.table({name: pa.array(one) for name, one in columns.items()}), path)
+    pq.write_table(pa.table({"timestamp": SECONDS, "x": BALL[:, 0], "z": BALL[:, 2]}), path)
 
 
 def _book(path: Path) -> None:
-    rows: list[list[object]] = [["t (s)", "x", "z"]]
-    for t, (x, _, z) in zip(SECONDS, BALL, strict=True):
-        rows.append([float(t), float(x), float(z)])
+    rows: list[list[Any]] = [["t (s)", "x", "z"], *([t, x, z] for t, (x, _, z) in ROWS)]
     write_xlsx(path, {"A": rows, "Words": [["dropped"]]})
 
 
-def _phyphox_zip(path: Path) -> None:
+def _zip(path: Path, files: Iterable[tuple[str, str | bytes]]) -> None:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(
-            "All.csv", '"Event time (s)","Interval (s)"\n0,0.9\n0.9,0.7\n1.6,0.5\n2.1,0\n'
-        )
-        archive.writestr("meta/device.csv", '"property","value"\n"version","1.1"\n')
+        for name, data in files:
+            archive.writestr(name, data)
 
 
-def _robot(path: Path) -> None:
-    names = [
-        f"{part}_{n}" for part in ("actual_q", "actual_qd", "actual_current") for n in range(6)
-    ]
-    rows = [[f"{t:.3f}", *(f"{t + n:.4f}" for n in range(18))] for t in SECONDS]
-    path.write_text("\n".join(" ".join(row) for row in [["timestamp", *names], *rows]) + "\n")
+PHYPHOX = (
+    ("All.csv", '"Event time (s)","Interval (s)"\n0,0.9\n0.9,0.7\n1.6,0.5\n2.1,0\n'),
+    ("meta/device.csv", '"property","value"\n"version","1.1"\n'),
+)
 
 
-def _franka(path: Path) -> None:
-    names = [f"{part}[{n}]" for part in ("q", "dq", "tau_J") for n in range(7)]
-    rows = [[f"{t:.3f}", *(f"{t + n:.4f}" for n in range(21))] for t in SECONDS]
-    path.write_text("\n".join(",".join(row) for row in [["time", *names], *rows]) + "\n")
+def _joints(path: Path, time: str, parts: Sequence[str], mark: str) -> None:
+    """Names of a robot's columns, `{n}` being the joint."""
+    count = 6 if "actual_q_{n}" in parts else 7
+    names = [part.format(n=n) for part in parts for n in range(count)]
+    rows = [[f"{t:.3f}", *(f"{t + n:.4f}" for n in range(3 * count))] for t in SECONDS]
+    path.write_text("\n".join(mark.join(row) for row in [[time, *names], *rows]) + "\n")
 
 
 def _table(path: Path) -> None:
-    rows = [f"{t:.4f},{x:.5f},{y:.5f},{z:.5f}" for t, (x, y, z) in zip(SECONDS, BALL, strict=True)]
+    rows = [f"{t:.4f},{x:.5f},{y:.5f},{z:.5f}" for t, (x, y, z) in ROWS]
     path.write_text("\n".join(["t,x,y,z", *rows]) + "\n")
 
 
@@ -112,42 +93,32 @@ def spot(number: int) -> NDArray[np.uint8]:
     return pixels
 
 
-def picture(number: int, suffix: str) -> bytes:
-    """The same as a file."""
-    return cv2.imencode(suffix, spot(number))[1].tobytes()
-
-
 def _pictures(suffix: str, path: Path) -> None:
-    with zipfile.ZipFile(path, "w") as archive:
-        for number in range(8):
-            archive.writestr(f"{number}{suffix}", picture(number, suffix))
+    _zip(path, ((f"{n}{suffix}", cv2.imencode(suffix, spot(n))[1].tobytes()) for n in range(8)))
 
 
 def _film(codec: str, path: Path) -> None:
     import av
 
     with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=30)
-        stream.width = stream.height = 32  # type: ignore[attr-defined]
-        stream.pix_fmt = "yuv420p"  # type: ignore[attr-defined]
+        stream: Any = container.add_stream(codec, rate=30)
+        stream.width, stream.height, stream.pix_fmt = 32, 32, "yuv420p"
         for number in range(8):
-            frame = av.VideoFrame.from_ndarray(spot(number), format="bgr24")
-            container.mux(stream.encode(frame))  # type: ignore[attr-defined]
-        container.mux(stream.encode(None))  # type: ignore[attr-defined]
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(spot(number), format="bgr24")))
+        container.mux(stream.encode(None))
 
 
 def _webp(path: Path) -> None:
-    animation = cv2.Animation()
+    animation: Any = cv2.Animation()
     animation.frames = [spot(number) for number in range(8)]
-    animation.durations = np.full(8, 20, np.int32)  # type: ignore[assignment]
+    animation.durations = np.full(8, 20, np.int32)
     cv2.imwriteanimation(str(path), animation)
 
 
 def _unknown_type(path: Path) -> None:
     from tests.tunenet_logs.any_message_logs import write_json
 
-    messages = [{"when": t, "at": {"x": x, "y": y, "z": z}}
-                for t, (x, y, z) in zip(SECONDS.tolist(), BALL.tolist(), strict=True)]  # fmt: skip
+    messages = [{"when": t, "at": dict(zip("xyz", xyz, strict=True))} for t, xyz in ROWS]
     write_json(path, "/thing", "lab.Seen", messages)
 
 
@@ -158,26 +129,28 @@ def _defined_type(path: Path) -> None:
     write_raw(path, "/thing", "lab/msg/Seen", text, b"\0\1\0\0" + bytes(24))
 
 
-_track = FilmedTrack(SECONDS, {"A": BALL}, rate_hz=60)
-
+ZSTD = zstandard.ZstdCompressor().compress
+UR = ("actual_q_{n}", "actual_qd_{n}", "actual_current_{n}")
+FRANKA = ("q[{n}]", "dq[{n}]", "tau_J[{n}]")
 # By the name of the file: what writes it.
 KINDS: dict[str, Callable[[Path], object]] = {
     **{f"{name}{suffix}": partial(_captured, name)
        for name, suffix in export_writers.SUFFIXES.items()},
     **{name: partial(_filmed, writer) for name, writer in export_writers_video.WRITERS.items()},
     "phyphox.xlsx": lambda path: phyphox_xlsx(path, [0.0, 0.9, 1.6, 2.1]),
-    "phyphox.zip": _phyphox_zip,
+    "phyphox.zip": lambda path: _zip(path, PHYPHOX),
     "book.xlsx": _book,
-    "ur.csv": _robot,
-    "franka.csv": _franka,
+    "ur.csv": lambda path: _joints(path, "timestamp", UR, " "),
+    "franka.csv": lambda path: _joints(path, "time", FRANKA, ","),
     "plain.csv": _table,
     "a.parquet": _parquet,
-    "a.npy": _npy,
-    "a.npz": _npz,
+    "a.npy": lambda path: np.save(path, np.column_stack([SECONDS, BALL])),
+    "a.npz": lambda path: np.savez_compressed(path, **ARRAYS),
     "level4.mat": partial(_mat, form="4"),
     "level5.mat": _mat,
     "packed.mat": partial(_mat, packed=True),
-    "a.jsonl": _json_lines,
+    "a.jsonl": lambda path: path.write_text(
+        "".join(json.dumps({"t": t, "ball": xyz}) + "\n" for t, xyz in ROWS)),
     "plain.h5": library_writers.plain_hdf5,
     "demos.hdf5": library_writers.robomimic,
     "a.feather": library_writers.feather,
@@ -190,15 +163,14 @@ KINDS: dict[str, Callable[[Path], object]] = {
     "a.y4m": partial(_film, "rawvideo"),
     "a.h264": partial(_film, "h264"),
     "a.webp": _webp,
-    "plain.csv.zst": partial(_packed, zstandard.ZstdCompressor().compress, _table),
+    "plain.csv.zst": partial(_packed, ZSTD, _table),
     "plain.csv.gz": partial(_packed, gzip.compress, _table),
     "plain.csv.bz2": partial(_packed, bz2.compress, _table),
     "plain.csv.lz4": partial(_packed, lz4.frame.compress, _table),
-    "unknown.mcap.zst": partial(_packed, zstandard.ZstdCompressor().compress, _unknown_type),
+    "unknown.mcap.zst": partial(_packed, ZSTD, _unknown_type),
     "unknown.mcap": _unknown_type,
     "defined.mcap": _defined_type,
 }  # fmt: skip
-
 # Kinds that are read in a process of their own.
 SLOW = (
     "track.xlsx", "phyphox.xlsx", "phyphox.zip", "book.xlsx", "a.parquet", "track.parquet",

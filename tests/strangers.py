@@ -17,6 +17,8 @@ from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_typestore
 
 POSE = "geometry_msgs/msg/PoseStamped"
+TOPIC = "/vrpn/thing/pose"
+Stamps = np.ndarray | list[int]
 
 
 def bounce_heights(
@@ -65,25 +67,20 @@ class Stranger:
 def _pose(types: Any, stamp_ns: int, position: np.ndarray, **more: Any) -> Any:
     """A PoseStamped; `more` goes into its header."""
     seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
-    x, y, z = (float(one) for one in position)
+    stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+    place = types["geometry_msgs/msg/Point"](*(float(one) for one in position))
+    turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
     return types[POSE](
-        header=types["std_msgs/msg/Header"](
-            stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds),
-            frame_id="map",
-            **more,
-        ),
-        pose=types["geometry_msgs/msg/Pose"](
-            position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z),
-            orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-        ),
+        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="map", **more),
+        pose=types["geometry_msgs/msg/Pose"](position=place, orientation=turn),
     )
 
 
 def write_poses(
     path: Path,
-    stamps_ns: np.ndarray | list[int],
+    stamps_ns: Stamps,
     positions: np.ndarray,
-    topic: str = "/vrpn/thing/pose",
+    topic: str = TOPIC,
     compression: CompressionType = CompressionType.LZ4,
     set_header: bool = True,
     chunk_bytes: int = 1024 * 1024,
@@ -105,7 +102,7 @@ def write_poses(
 
 
 def write_ros1(
-    path: Path, stamps_ns: np.ndarray, positions: np.ndarray, topic: str = "/vrpn/thing/pose"
+    path: Path, stamps_ns: np.ndarray, positions: np.ndarray, topic: str = TOPIC
 ) -> None:
     """The same in the encoding of ROS 1, as `mcap convert` makes it of a bag."""
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -124,7 +121,7 @@ def write_ros1(
 
 
 def write_protobuf(
-    path: Path, stamps_ns: np.ndarray, positions: np.ndarray, topic: str = "/vrpn/thing/pose"
+    path: Path, stamps_ns: np.ndarray, positions: np.ndarray, topic: str = TOPIC
 ) -> None:
     """The same as foxglove.PoseInFrame in protobuf, by Foxglove's own writer."""
     from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
@@ -140,7 +137,7 @@ def write_protobuf(
 
 
 def write_json(
-    path: Path, stamps_ns: np.ndarray, positions: np.ndarray, topic: str = "/vrpn/thing/pose"
+    path: Path, stamps_ns: np.ndarray, positions: np.ndarray, topic: str = TOPIC
 ) -> None:
     """The same as foxglove.PoseInFrame in JSON."""
     messages = [
@@ -201,11 +198,7 @@ def without_chunks(source: Path, path: Path, *, chunks: bool = False, crcs: bool
     with source.open("rb") as read, path.open("wb") as file:
         plain = CompressionType.NONE
         writer = Writer(
-            file,
-            use_chunking=chunks,
-            compression=plain,
-            enable_crcs=crcs,
-            enable_data_crcs=crcs,
+            file, use_chunking=chunks, compression=plain, enable_crcs=crcs, enable_data_crcs=crcs
         )
         writer.start("ros2")
         channels: dict[int, int] = {}
@@ -222,9 +215,9 @@ def without_chunks(source: Path, path: Path, *, chunks: bool = False, crcs: bool
 
 def write_poses_bag(
     path: Path,
-    stamps_ns: np.ndarray | list[int],
+    stamps_ns: Stamps,
     positions: np.ndarray,
-    topic: str = "/vrpn/thing/pose",
+    topic: str = TOPIC,
     compression: BagWriter.CompressionFormat | None = None,
     chunk_bytes: int = 16 * 1024,
 ) -> None:
@@ -243,9 +236,9 @@ def write_poses_bag(
 
 def write_poses_folder(
     path: Path,
-    stamps_ns: np.ndarray | list[int],
+    stamps_ns: Stamps,
     positions: np.ndarray,
-    topic: str = "/vrpn/thing/pose",
+    topic: str = TOPIC,
     storage: StoragePlugin = StoragePlugin.SQLITE3,
     mode: CompressionMode = CompressionMode.NONE,
 ) -> Path:
@@ -260,3 +253,9 @@ def write_poses_folder(
             message = _pose(store.types, int(stamp), position)
             writer.write(connection, int(stamp), bytes(store.serialize_cdr(message, POSE)))
     return next(one for one in path.iterdir() if one.name != "metadata.yaml")
+
+
+def foxglove(name: str) -> Any:
+    """A type of Foxglove's in protobuf."""
+    module = __import__(f"foxglove_schemas_protobuf.{name}_pb2", fromlist=[name])
+    return getattr(module, name)

@@ -17,8 +17,7 @@ import pytest
 
 from tests.analysis.batch.test_ledger import ledger_of, write_drop
 from tests.conftest import Command
-from tests.recorders.http_camera import HttpCamera, http_camera
-from tests.recorders.server_thread import beside
+from tests.recorders.servers import HttpCamera, beside, http_camera
 from tunenet_logs.addresses import Address, without_secrets
 
 pytest.importorskip("aiohttp")

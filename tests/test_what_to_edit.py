@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import lzma
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,13 +19,24 @@ from docs import make_api
 from tests.recorders.films import film
 from tunenet_logs.analysis import options, registry
 from tunenet_logs.analysis.batch.ledger import options_digest
-from tunenet_logs.analysis.checks import Check, CheckSpec, at_most, table
+from tunenet_logs.analysis.checks import Check, CheckSpec, CrossCheck, at_most, table
 from tunenet_logs.analysis.cli.tune import build_parser
 from tunenet_logs.analysis.drop.experiments import DropFromPositions
-from tunenet_logs.analysis.estimators.base import Estimator, FitResult, Problem, Step, Trace
-from tunenet_logs.analysis.experiment import Claim
+from tunenet_logs.analysis.estimators.base import (
+    Estimator,
+    FitResult,
+    Observation,
+    Problem,
+    Step,
+    Trace,
+)
+from tunenet_logs.analysis.experiment import Claim, Preset
+from tunenet_logs.analysis.options import Subject, TuneOptions
 from tunenet_logs.analysis.presentation import result_words
+from tunenet_logs.analysis.record import Motion, Rebound
 from tunenet_logs.console import given, option
+from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
+from tunenet_logs.errors import NotFoundError
 from tunenet_logs.formats import decoders
 from tunenet_logs.formats import registry as formats
 from tunenet_logs.formats.base import AnyType, Plain, RawChannel, RawMessage, Record, Structure
@@ -40,6 +51,7 @@ from tunenet_logs.recorders.camera.device import VideoFile
 from tunenet_logs.recorders.camera.network import NetworkOptions
 from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.orders import DropOrder, FilmOrder
+from tunenet_logs.recorders.simulators.base import Parameter
 
 SAMPLES = Path(__file__).parents[1] / "sample_logs"
 RESTITUTION, GRAVITY_M_S2 = 0.8, 9.81
@@ -59,8 +71,8 @@ def drop(topic: str = "/ball/pose", *, sign: float = 1.0) -> tn.Episode:
     return tn.episode_of_positions(seconds, sign * heights_m, topic=topic)
 
 
-def restitution(tuning: tn.Tuning) -> float:
-    found = tuning.record.estimate("restitution")
+def estimated(tuning: tn.Tuning, name: str = "restitution") -> float:
+    found = tuning.record.estimate(name)
     assert found is not None
     return float(np.ravel(found.value)[0])
 
@@ -83,7 +95,7 @@ def test_a_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         tn.read_episode(tmp_path / "drop.toy")
     monkeypatch.setattr(formats, "EXPORTS", ((is_toy, read_toy), *formats.EXPORTS))
     tuning = tn.tune(tmp_path / "drop.toy")
-    assert restitution(tuning) == pytest.approx(RESTITUTION, abs=0.002)
+    assert estimated(tuning) == pytest.approx(RESTITUTION, abs=0.002)
 
 
 TOY_TYPE = "lab_msgs/msg/Height"
@@ -189,23 +201,105 @@ def test_an_estimator(monkeypatch: pytest.MonkeyPatch):
         tn.tune(drop(), method="no such method")
 
 
-class DropFromDepths(DropFromPositions):
-    """A drop seen from above: depths below a sensor, which grow as the ball falls."""
-
-    def claim(self, episode: tn.Episode, topic: str | None) -> Claim:
-        return Claim.CERTAIN if "/depth" in episode.signals else Claim.NONE
-
-    def detect(self, episode, selection, preset):
-        depth = episode.signals["/depth"]
-        upright = replace(depth, values=-depth.values)
-        return super().detect(replace(episode, signals={"/depth": upright}), selection, preset)
+RATE = Parameter("decay_rate", "1/s", (0.0, 10.0), (0.0, 10.0), 5.0)
+SECONDS = np.arange(50) / 25
 
 
-def test_an_experiment(monkeypatch: pytest.MonkeyPatch):
-    """Another way to observe a drop: one row of `analysis.registry.EXPERIMENTS`."""
-    monkeypatch.setitem(registry.EXPERIMENTS, "drop-depth", f"{__name__}:DropFromDepths")
-    tuning = tn.tune(drop("/depth", sign=-1.0))
-    assert restitution(tuning) == pytest.approx(RESTITUTION, abs=0.002)
+class DecaySimulator:
+    """A cup of tea that cools: exp(-rate t)."""
+
+    parameters = (RATE,)
+    engine = "closed form"
+    step_hz = 25.0
+
+    def rollout(self, values: Mapping[str, float]) -> Episode:
+        return tea(RATE.checked(values[RATE.name]))
+
+
+def tea(rate: float) -> Episode:
+    stamps_ns = np.round(SECONDS * 1e9).astype(np.int64)
+    values = np.exp(-rate * SECONDS)[:, None]
+    return Episode(
+        EpisodeInfo(kind="tea"), {"/tea": Signal("/tea", stamps_ns, values, ("x",), "K")}
+    )
+
+
+class TeaDetection:
+    """The whole signal."""
+
+    topic, warnings, left_out = "/tea", (), ()
+    window: Mapping[str, float] = {"start_s": 0.0, "end_s": 1.96}
+    extent = ("cooling", "2 s")
+
+    def __init__(self, values: Array) -> None:
+        self.values = values
+
+
+class TeaExperiment:
+    """An experiment without a network: no weights are needed for it."""
+
+    name = kind = "tea"
+    occasion = "cup"
+    observed = "temperatures of a cup"
+    accepted_options: frozenset[Subject] = frozenset()
+    presets: Mapping[str, Preset] = {"default": Preset(True, (RATE,), method="brent")}
+
+    def claim(self, episode: Episode, topic: str | None) -> Claim:
+        return Claim.CERTAIN if "/tea" in episode.signals else Claim.NONE
+
+    def detect(self, episode: Episode, selection: TuneOptions, preset: str) -> TeaDetection:
+        if "/tea" not in episode.signals:
+            raise NotFoundError("no tea in it")
+        return TeaDetection(episode.signals["/tea"].values)
+
+    def problem(self, detection: TeaDetection, initial: Array) -> Problem:
+        """See `Experiment.problem`."""
+
+        def observe(episode: Episode) -> Observation:
+            return Observation(episode.signals["/tea"].values.copy(), SECONDS, "t [s]", ("T",))
+
+        target = Observation(detection.values.copy(), SECONDS, "t [s]", ("T",))
+        return Problem(target, DecaySimulator(), observe, initial)
+
+    def checks(
+        self, detection: TeaDetection, last: Step, fit: FitResult | None
+    ) -> tuple[Check, ...]:
+        return (Check("cools", bool(last.values[0] > 0), f"{last.values[0]:.2f} 1/s"),)
+
+    def cross_check(self, detection: TeaDetection, estimate: Array) -> CrossCheck | None:
+        """See `Experiment.cross_check`."""
+
+    def motion(self, detection: TeaDetection, trace: Trace) -> Motion | None:
+        """See `Experiment.motion`."""
+
+    def rebounds(self, detection: TeaDetection, trace: Trace) -> tuple[Rebound, ...]:
+        return ()
+
+    def review(self, stream, tuning):
+        import rerun.blueprint as rrb
+
+        return rrb.Horizontal(rrb.TextDocumentView(origin="/result"))
+
+
+def test_an_experiment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """A class with the members of `Experiment`: one row of `analysis.registry.EXPERIMENTS`.
+
+    Tuned by the methods that fit it, kept, read back and reviewed.
+    """
+    monkeypatch.setitem(registry.EXPERIMENTS, "tea", f"{__name__}:TeaExperiment")
+    tuning = tn.tune(tea(3.0), iterations=40)
+    assert tuning.verdict == "ok"
+    assert estimated(tuning, "decay_rate") == pytest.approx(3.0, abs=1e-3)
+    again = tn.read_tuning(tn.save_tuning(tuning, tmp_path / "tea.json"))
+    assert again.task == "tea"
+    assert again.estimates == tuning.record.estimates
+    assert tn.review(tuning, tmp_path / "tea.rrd").stat().st_size > 1000
+    for method in ("line", "brent", "least-squares"):
+        found = tn.tune(tea(3.0), method=method, iterations=40)
+        assert estimated(found, "decay_rate") == pytest.approx(3.0, abs=0.01)
+    assert "it is for drops" in (tn.tune(tea(3.0), method="secant").reason or "")
+    with pytest.raises(tn.UsageError, match="needs a network"):
+        tn.tune(tea(2.0), method="tunenet+line")
 
 
 DAYS = table(

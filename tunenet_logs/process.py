@@ -275,10 +275,11 @@ def _holds(frame: FrameType | None) -> float:
     """Return the seconds for which a signal has to wait; 0 if it may be raised now.
 
     Where a module is being imported C code prints exceptions, or takes them for others; nothing is
-    half written by an import, and none takes long. What a library calls is the same.
+    half written by an import, and none takes long. What a library calls is the same. Cython runs
+    code of a dotted name to add its own place to a traceback, and loses what is raised there.
     """
     while frame is not None:
-        if frame.f_code in _called_by_c:
+        if frame.f_code in _called_by_c or "." in frame.f_code.co_name:
             return 0.001  # such a callback is to return at once
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             return _AGAIN_S

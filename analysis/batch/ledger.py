@@ -191,6 +191,7 @@ class Journal:
     def __init__(self, folder: Path, path: Path, file: BinaryIO) -> None:
         self.ledger = Ledger()
         self._path, self._file = path, file
+        self._last: LedgerRow | None = None  # a row that a signal may have kept from the ledger
         self._table = OutputPlace(ledger_file(folder), "ledger", _knows_table, elsewhere=_ELSEWHERE)
         for place in (self._table, overview_place(folder)):
             if why := place.why_not():
@@ -209,17 +210,21 @@ class Journal:
 
     def append(self, row: LedgerRow) -> None:
         """Append the row of a log that has just ended, and flush it to the journal."""
+        self._last = row
         line = json.dumps(row, ensure_ascii=False).encode(errors="replace")
         with writable(self._path, _GO_ON):
             self._file.write(line + b"\n")
             self._file.flush()
         self.ledger.put(row)
+        self._last = None
         if os.fstat(self._file.fileno()).st_size > _MAX_JOURNAL_BYTES // 2:
             self.compact()
 
     def compact(self) -> Path:
         """Write all rows as one Parquet table, then truncate the journal."""
         table = self._table.path
+        if self._last is not None:  # Ctrl-C came while it was put there, column by column
+            self.ledger.put(self._last)
         with writable(table, _GO_ON), self._table.replacing() as unfinished:
             write_parquet(self.ledger, unfinished)
         self._file.truncate(len(_HEAD))

@@ -1,123 +1,283 @@
-"""What the experiments of `tunenet-eval` share: their choices, the form of figures, their files.
+"""What the studies of `tunenet-eval` share: their names and sizes, their runs, their tables.
 
-Methods and sections stand here by name, as the modules that have them take a second to load.
+A study is a module of `studies` with a function `run(order, progress)`, which draws cases from
+seeds, scores each in a process of its own (`scored`), and yields a `Part` for each section as it is
+done. Names and sizes stand in `STUDIES`, as the modules that have them take a second to load.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
-import io
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, is_dataclass
+from dataclasses import fields as fields_of
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from tunenet_logs.errors import UsageError
 from tunenet_logs.files import csv_line
+from tunenet_logs.terminal import Progress
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from tunenet_logs.analysis.parallel import Piece
     from tunenet_logs.writing.owned_path import OutputPlace
 
-
-# Those of `studies.drop_methods`.
-METHODS = (
-    *("mean", "entropy-search", "cma-es", "direct", "tunenet-paper", "tunenet-paper-code"),
-    *("secant", "brent", "least-squares", "tpe", "npe"),
-    *("network", "ours"),
-    *("concatenation", "difference", "antisymmetric"),
-)
-
-# Those of `studies.video`: on tracks, and on clips.
-SECTIONS = ("set-A", "set-B", "set-C", "slope", "drag", "bad", "clips", "transformed")
-
-SHOT_SECTIONS = ("campaigns", "drops")  # policies in the hidden world, and verdicts on its drops
-REAL_SECTIONS = ("positions", "balls", "films")  # those of `studies.real_balls`
-# Drops of a cell for each seed; fewer make fewer of the table's balls in proportion.
-FULL_REAL = 200
-
-FULL_SHOT = 60  # trials of a campaign; fewer make fewer drops in proportion
-# Users' models tuned, with a parameter that a log cannot tell, of another machine, by another
-# toolbox, and by the network's first step.
-SYSID_SECTIONS = ("tuned", "untold", "wrong", "toolbox", "network")
-
-FULL_SYSID = 200  # logs of a machine and section for each seed; a twentieth for the network
-# Bounces by their sound alone, the same by phyphox's way, sounds that are no bounce, films with
-# their sound, and tracks with a sound that is not theirs; balls whose impacts differ, alone and in
-# films.
-SOUND_SECTIONS = (
-    *("alone", "phyphox", "negatives", "films", "unrelated"),
-    *("uneven", "uneven-films"),
-)
-
-FULL_SOUND = 200  # clips at a ratio, sounds, films and tracks for each seed
-FULL_ENGINES = 10  # targets of a range for each seed and pair of engines
-# Table 1 of the paper, logs like a real driver's, arms that share no code with the fit, and what
-# their drivers mean by torque.
-PAYLOAD_SECTIONS = ("masses", "logs", "strangers", "conventions")
-
-# Those that are made where none is named: the others take over an hour.
-TYPICAL_PAYLOAD_SECTIONS = ("masses", "logs")
-
-FULL_PAYLOAD = 300  # targets of a set for each seed, and two thirds as many logs of a case in all
-# Logs of a cell in all, and logs whose drivers mean different things by torque.
-FULL_STRANGERS, FULL_CONVENTIONS = 400, 1000
-
-FULL_VIDEO = 200  # tracks for each seed and line of `video`; fewer make fewer clips in proportion
+Label = TypeVar("Label")
+Case = TypeVar("Case")
+Score = TypeVar("Score")
+Row = dict[str, Any]  # of JSON and CSV: figures by name, None where there is none
 
 
-def chosen_sections(
-    arguments: argparse.Namespace, available: Sequence[str], usual: Sequence[str] = ()
-) -> Sequence[str]:
-    """Return the tables that `--sections` lists, or the usual ones, or all.
+@dataclass(frozen=True)
+class Study:
+    """Name, place and sizes of a study."""
 
-    Raises:
-        UsageError: one is not available.
+    module: str  # of `studies`
+    summary: str  # lines of --help
+    sections: Mapping[str, int] = field(default_factory=dict[str, int])  # and their own --targets
+    usual: tuple[str, ...] = ()  # sections that run where none is named; () for all
+    seeds: int = 3
+    targets: int = 100  # test cases for each seed and set: the paper's
+    files: tuple[str, ...] = ("json", "csv")  # forms that it can write
+    options: tuple[str, ...] = ()  # its own
+
+
+_FILMED = ("set-A", "set-B", "set-C", "slope", "drag", "bad", "clips", "transformed")
+STUDIES = {
+    "payload": Study(
+        "payload",
+        "the mass in an arm's gripper from its torques: the paper's masses (table 1), and\n"
+        "logs like a real driver's, with a bound; only where they are named, its sections\n"
+        '"strangers": arms that share no code with the fit, beside what one would write in\n'
+        'an hour, "conventions": what their drivers mean by torque, and "cards": what a card\n'
+        "of the arm is worth beside tares",
+        # Of logs, two thirds as many as of masses, in all; of strangers, logs a cell in all.
+        {"masses": 300, "logs": 300, "strangers": 400, "conventions": 1000, "cards": 36},
+        ("masses", "logs"),
+        seeds=5,
+        targets=300,
+        options=("pairs", "epochs"),
+    ),
+    "drop": Study(
+        "drop",
+        "restitution of a bouncing ball from its height: every method of the paper,\n"
+        "what a user would pick instead, and ours, by rollouts spent (table 2, figure)",
+        files=("json", "csv", "png", "rrd"),
+        options=("methods", "rollouts", "pairs", "epochs"),
+    ),
+    "motion": Study(
+        "motion",
+        "where the ball will be: tuned simulators and one-step predictors (table 3)",
+        options=("pairs", "epochs"),
+    ),
+    "intervals": Study(
+        "intervals",
+        "how often the 95 % intervals of recorded drops contain the truth; part of drop",
+    ),
+    "positions": Study(
+        "positions",
+        "restitution from positions, clean and noisy: the result, the network's steps alone,\n"
+        "and the speeds at the impact alone",
+        targets=200,
+    ),
+    "throws": Study(
+        "throws",
+        "balls thrown down, dribbled, rolled off an edge, bouncing from the start, and tosses\n"
+        'that are no bounce; "half" and "twice" have other noise',
+        dict.fromkeys(("usual", "half", "twice"), 400),
+        ("usual",),
+        seeds=1,
+        targets=400,
+    ),
+    "impact-times": Study(
+        "impact_times",
+        "restitution from impact times alone, beside the Cramér-Rao bound, the drop's height\n"
+        "given or not; verdicts on balls, and on rhythms and noises that are no ball's",
+        dict.fromkeys(("times", "height", "verdicts"), 300),
+        seeds=1,
+        targets=300,
+    ),
+    "video": Study(
+        "video",
+        "restitution from tracks of filmed drops, good and bad ones: errors, intervals,\n"
+        'verdicts; only where it is named "bound": what an efficient fit would reach',
+        dict.fromkeys(_FILMED, 200) | {"bound": 400},
+        _FILMED,
+        targets=200,
+    ),
+    "real-balls": Study(
+        "real_balls",
+        "balls in air whose restitution falls with speed, as positions and as films: each\n"
+        "parameter, its interval, and whether the tuned simulator moves like the ball",
+        dict.fromkeys(("positions", "balls", "films"), 200),
+        targets=200,
+    ),
+    "bounce-shot": Study(
+        "bounce_shot",
+        "drop, record, tune, plan, shoot, in a hidden world with air, spin, balls out of\n"
+        "round and drops that leave the table: the paper's policy and ours",
+        dict.fromkeys(("campaigns", "drops"), 60),
+        targets=60,
+        options=("campaign", "pairs", "epochs"),
+    ),
+    "engines": Study(
+        "engines",
+        "drops made by each physics engine and by an exact integrator, tuned in each:\n"
+        "effective restitutions and motions beside each other",
+        targets=10,
+    ),
+    "exports": Study(
+        "exports",
+        "whether balls bounce as they should: by PyBullet's settings, by the file exported for\n"
+        "each engine, and what is promised of MuJoCo",
+        {"contact": 25, "files": 9, "mujoco": 40},
+        seeds=1,
+        targets=40,
+    ),
+    "network": Study(
+        "network",
+        "what the network's start is worth beside one from mid-range, by rollouts alone",
+        {"payloads": 40, "drops": 100},
+        options=("epochs",),
+    ),
+    "sysid": Study(
+        "sysid",
+        "users' own models: a pendulum, an arm with a payload and late commands, a block that\n"
+        "slides, as SciPy integrates them: errors, intervals, what a log cannot tell, models\n"
+        "of other machines, the network's first step, and mujoco.sysid beside it",
+        dict.fromkeys(("tuned", "untold", "wrong", "toolbox", "network"), 200),
+        seeds=1,
+        targets=200,
+    ),
+    "sound": Study(
+        "audio",
+        "bounces by ear: sounds that are made by code, alone and beside films, with speech,\n"
+        "music and noise behind them; phyphox's way beside it, and sounds that are no bounce",
+        dict.fromkeys(
+            ("alone", "phyphox", "negatives", "films", "unrelated", "uneven", "uneven-films"), 200
+        ),
+        seeds=1,
+        targets=200,
+    ),
+}
+
+# Of `studies.drop`: the paper's, a user's, ours, and the ablation, which has no curve.
+METHODS = {
+    "methods of the paper": (
+        *("mean", "entropy-search", "cma-es", "direct", "tunenet-paper", "tunenet-paper-code"),
+    ),
+    "what a user would pick": ("secant", "brent", "least-squares", "tpe", "npe"),
+    "ours": ("network", "ours"),
+    "the ablation, which has no curve in the figure": (
+        *("concatenation", "difference", "antisymmetric"),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a study is to do."""
+
+    seeds: tuple[int, ...]  # each with its own training and test cases
+    targets: int  # test cases for each seed and set
+    sections: tuple[str, ...] = ()  # the chosen ones
+    jobs: int | None = None  # processes; None for all cores
+    is_full: bool = False  # whether nobody said how many targets: sections take their own
+    methods: tuple[str, ...] | None = None  # of drop; None for all, and its intervals
+    rollouts: int | None = None  # of drop: most that a method may spend; None for the cells' own
+    pairs: int | None = None  # of training, in place of the presets', to try things out
+    epochs: int | None = None  # likewise
+    campaign: Path | None = None  # of the bounce shot: folder for the first seed's logs
+    drawn: tuple[str, ...] = ()  # of drop: "png" and "rrd", where they are to be written
+
+    @property
+    def seeds_in_words(self) -> str:
+        """Seeds, as "seed 1" or "seeds 1 to 3"."""
+        first, *more = self.seeds
+        return f"seeds {first} to {more[-1]}" if more else f"seed {first}"
+
+    def targets_of(self, study: str, section: str) -> int:
+        """Return the number of targets of a section: its own where nobody said another."""
+        return STUDIES[study].sections[section] if self.is_full else self.targets
+
+    def portions(self, size: int, targets: int | None = None) -> list[tuple[int, range]]:
+        """Split each seed's numbers: few a portion, so that the processes end together."""
+        count = self.targets if targets is None else targets
+        return [
+            (seed, range(at, min(at + size, count)))
+            for seed in self.seeds
+            for at in range(0, count, size)
+        ]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Results of a section: what is printed, and what is written to files."""
+
+    section: str  # "" where a study has one table alone
+    text: str
+    rows: Sequence[Row] = ()  # flat but for lists, which CSV leaves out
+    # of JSON alone: further lists by name
+    more: Mapping[str, Sequence[Row]] = field(default_factory=dict[str, Sequence[Row]])
+    # writers of the study's other files, by their forms
+    writers: Mapping[str, Callable[[Path, str], None]] = field(
+        default_factory=dict[str, Callable[[Path, str], None]]
+    )
+
+
+Run = Callable[[Order, Progress], Iterator[Part]]  # of a study's module
+
+
+def scored(
+    score: Callable[[Case], Iterable[Score]],
+    cases: Mapping[Label, Sequence[Piece[Case]]],
+    order: Order,
+    progress: Progress,
+    what: tuple[str, str],
+) -> dict[Label, list[Score]]:
+    """Score all cases in processes; return the scores of each label, in the order of its cases.
+
+    Args:
+        score: function of a module, from a case to its scores.
+        cases: cases by label, of a table's line as a rule.
+        order: whose jobs are used; they change nothing but the time.
+        progress: gets a bar of the verb and the unit `what`.
+        what: the verb and the unit.
     """
-    wanted = chosen_names(arguments, "sections", available) or usual or available
-    for name in wanted:
-        if name not in available:
-            raise UsageError(f"no section {name!r}; there is: {', '.join(available)}")
-    return wanted
+    from tunenet_logs.analysis.parallel import parallel_map
+
+    pieces = list(chain.from_iterable(cases.values()))
+    done = iter(parallel_map(score, pieces, order.jobs, progress, what))
+    return {label: [one for _ in some for one in next(done)] for label, some in cases.items()}
 
 
-def chosen_names(
-    arguments: argparse.Namespace, option: str, available: Sequence[str]
-) -> tuple[str, ...] | None:
-    """Return the names that an option lists; None where it is not given.
-
-    Raises:
-        UsageError: it lists none.
-    """
-    listed = getattr(arguments, option)
-    if listed is None:
-        return None
-    names = tuple(filter(None, (name.strip() for name in listed.split(","))))
-    if not names:
-        raise UsageError(f"--{option} names none; there is: {', '.join(available)}")
-    return names
+# ---- Figures of many scores.
 
 
-# ---- Records: JSON and CSV.
+def figure(
+    values: Iterable[float] | np.ndarray, of: Callable[[np.ndarray], Any] | None = None
+) -> float | None:
+    """Return a figure of those values that are finite, the mean if none is named; None of none."""
+    import numpy as np
+
+    known = np.asarray(values, float)
+    known = known[np.isfinite(known)]
+    return float((of or np.mean)(known)) if len(known) else None
 
 
-def json_text(content: Mapping[str, Any]) -> str:
-    """Serialise to indented JSON; a figure that does not exist is null, never NaN.
+def holds(low: np.ndarray, high: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Return 1 where an interval holds the truth, 0 where not, NaN where there is no interval."""
+    import numpy as np
 
-    Raises:
-        ValueError: a number is NaN or infinite.
-    """
-    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def csv_text(columns: Sequence[str], records: Sequence[Mapping[str, Any]]) -> str:
-    """Format a header and one line a record; None is an empty field."""
-    rows = (csv_line(record.get(name) for name in columns) for record in records)
-    return csv_line(columns) + "".join(rows)
+    inside = (low <= truth) & (truth <= high)
+    return np.where(np.isfinite(low) & np.isfinite(truth), inside, np.nan)
 
 
-# ---- Tables: errors, seeds and rows as text.
+# ---- Tables for a terminal.
 
 
 NEGLIGIBLE = 1e-9  # an error below this is rounding of float64, and is written as none
@@ -127,8 +287,10 @@ _FOUR_DIGITS_FROM = 0.00095
 _SCIENTIFIC_BELOW = 0.000095
 
 
-def short(error: float) -> str:
+def short(error: float | None) -> str:
     """Format an error in at most 6 characters: four decimals, or two digits if it is less."""
+    if error is None:
+        return "-"
     if error < NEGLIGIBLE:
         return "<1e-9"
     if error < _SCIENTIFIC_BELOW:
@@ -136,77 +298,148 @@ def short(error: float) -> str:
     return f"{error:.{4 if error >= _FOUR_DIGITS_FROM else 5}f}".removeprefix("0")
 
 
-def short_or_dash(error: float | None) -> str:
-    """Format by `short`; a dash where there is none."""
-    return "-" if error is None else short(error)
+def decimals(value: float | None, digits: int = 1, unit: str = "") -> str:
+    """Format with so many decimals; a dash for None."""
+    return "-" if value is None else f"{value:.{digits}f}{unit}"
 
 
-def seeds_in_words(seeds: Sequence[int]) -> str:
-    """Describe seeds, as "seed 1" or "seeds 1 to 3"."""
-    return f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
+def percent(fraction: float | None, digits: int = 1, unit: str = "") -> str:
+    """Format a fraction in percent; a dash for None."""
+    return decimals(None if fraction is None else 100 * fraction, digits, unit)
 
 
-def table_line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    """Left-align columns to these widths [characters]; widths beyond the cells are not used."""
-    fitted = [cell.ljust(width) for cell, width in zip(cells, widths, strict=False)]
-    return "".join(fitted).rstrip()
+def table(lines: Iterable[Sequence[str]], title: str = "") -> str:
+    """Left-align columns, two spaces apart, below a title; a cell may reach over empty ones."""
+    rows = [list(cells) for cells in lines]
+    starts = [0]
+    for at in range(max(map(len, rows), default=0)):
+        # what nothing stands beside needs no room
+        cells = [row[at] for row in rows if any(row[at + 1 : at + 2])]
+        starts.append(starts[-1] + max(map(len, cells), default=0) + 2)
+    text = [title] if title else []
+    for row in rows:
+        line = ""
+        for start, cell in zip(starts, row, strict=False):
+            if cell:
+                line = (
+                    f"{line}  {cell}" if len(line) > max(start - 2, 0) else f"{line:{start}}{cell}"
+                )
+        text.append(line)
+    return "\n".join(text)
 
 
-# ---- Files of figures: whole or not there, marked with the experiment that they are of.
+Columns = Sequence[tuple[str, Callable[[Any], str]]]  # heads, and what stands below for a row
+
+
+def shown(columns: Columns, rows: Iterable[Any]) -> list[list[str]]:
+    """Return the lines of a `table`: the heads, and below them each row."""
+    heads = [head for head, _ in columns]
+    return [heads, *([show(row) for _, show in columns] for row in rows)]
+
+
+def listed(rows: Sequence[Row], title: str = "") -> str:
+    """Tabulate rows as they are: their names above them, numbers in four digits."""
+    names = list(rows[0]) if rows else []
+    lines = [[str(_cell(row[name])) for name in names] for row in rows]
+    return table([[name.replace("_", " ") for name in names], *lines], title)
+
+
+def _cell(value: Any) -> Any:
+    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else value
+
+
+# ---- Files: whole or not there, marked with the study that they are of.
 
 
 _KIND = "figures"
-_MADE_BY = "tunenet_eval"  # the first column of every table: the experiment
+_MADE_BY = "tunenet_eval"  # the first column of every table: the study
 
 
-@dataclass(frozen=True)
-class FigurePlace:
-    """Destination of an experiment's figures."""
+def figure_place(study: str, form: str, path: Path, *, overwrite: bool) -> OutputPlace:
+    """Return where a file goes; see `OutputPlace`. `form` is one of `Study.files`."""
+    from tunenet_logs.analysis.result_files import marked, recording
+    from tunenet_logs.analysis.result_files import table as csv_table
+    from tunenet_logs.writing.owned_path import OutputPlace
 
-    experiment: str  # by name
-    place: OutputPlace  # of the file
-
-    @classmethod
-    def of(cls, experiment: str, form: str, path: Path, *, overwrite: bool) -> FigurePlace:
-        """Make the destination of one option: "json", "csv", "png" or "rrd"; see `OutputPlace`."""
-        from tunenet_logs.analysis.result_files import marked, recording, table
-        from tunenet_logs.writing.owned_path import OutputPlace
-
-        logs = _as_logs(experiment)
-        knows = {
-            "json": marked("json", _KIND, logs),
-            "png": marked("png", _KIND, logs),
-            "rrd": recording("eval drop", ""),
-            "csv": table([_MADE_BY], lambda row: row[_MADE_BY].replace(experiment, "") or None),
-        }[form]
-        more = (experiment, f"give --{form} another file", overwrite)
-        return cls(experiment, OutputPlace(path, "file of figures", knows, *more))
-
-    @property
-    def mark(self) -> str:
-        """Mark by which the file is known."""
-        from tunenet_logs.analysis.result_files import mark
-
-        return mark(_KIND, _as_logs(self.experiment))
+    logs = {study: study}
+    knows = {
+        "json": lambda: marked("json", _KIND, logs),
+        "png": lambda: marked("png", _KIND, logs),
+        "rrd": lambda: recording("eval drop", ""),
+        "csv": lambda: csv_table([_MADE_BY], lambda row: row[_MADE_BY].replace(study, "") or None),
+    }[form]()
+    return OutputPlace(
+        path, "file of figures", knows, study, f"give --{form} another file", overwrite
+    )
 
 
-def _as_logs(experiment: str) -> dict[str, str]:
-    return {experiment: experiment}
+def write_figures(
+    study: str, order: Order, parts: Sequence[Part], form: str, place: OutputPlace
+) -> None:
+    """Write the results of a study in one of its forms; JSON may go to standard output."""
+    from tunenet_logs.analysis.result_files import mark, write_json
+
+    marked_by = mark(_KIND, {study: study})
+    if form == "json":
+        content: dict[str, Any] = {
+            "made": marked_by,
+            "experiment": study,
+            "seeds": list(order.seeds),
+            "targets": order.targets,
+            "rows": [_record(part, row) for part in parts for row in part.rows],
+        }
+        for part in parts:
+            content |= {name: list(map(_plain, rows)) for name, rows in part.more.items()}
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        write_json(place, text + "\n")
+        return
+    with place.replacing() as partial:
+        if form == "csv":
+            partial.write_text(csv_text(study, parts), "utf-8")
+        else:
+            next(part.writers[form] for part in parts if form in part.writers)(partial, marked_by)
 
 
-def write_text_to(to: FigurePlace, text: str) -> None:
-    """Write a table, with the experiment in each row."""
-    header, *rows = csv.reader(io.StringIO(text))
-    made = io.StringIO()
-    writer = csv.writer(made, lineterminator="\n")
-    writer.writerow([_MADE_BY, *header])
-    writer.writerows([to.experiment, *row] for row in rows)
-    with to.place.replacing() as partial:
-        partial.write_text(made.getvalue(), "utf-8")
+def csv_text(study: str, parts: Sequence[Part]) -> str:
+    """Format one line a row, the study first; lists are left out, None is an empty field."""
+    rows = [_record(part, row) for part in parts for row in part.rows]
+    names = dict.fromkeys(
+        name for row in rows for name, value in row.items() if not isinstance(value, (list, dict))
+    )
+    lines = ([study, *(row.get(name) for name in names)] for row in rows)
+    return csv_line([_MADE_BY, *names]) + "".join(map(csv_line, lines))
 
 
-def write_json_to(to: FigurePlace, text: str) -> None:
-    """Write a JSON, to a file or to standard output."""
-    from tunenet_logs.analysis.result_files import write_json
+def _record(part: Part, row: Row) -> Row:
+    return {**({"section": part.section} if part.section else {}), **_plain(row)}
 
-    write_json(to.place, text.replace("{\n", f'{{\n "made": "{to.mark}",\n', 1))
+
+def _plain(value: Any) -> Any:
+    """Return what JSON has for a value: null for NaN, lists and dictionaries for the rest."""
+    if is_dataclass(value):
+        value = {each.name: getattr(value, each.name) for each in fields_of(value)}
+    if isinstance(value, Mapping):
+        return {str(name): _plain(each) for name, each in value.items()}
+    if hasattr(value, "tolist"):  # of NumPy
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def chosen_names(listed: str | None, option: str, available: Iterable[str]) -> tuple[str, ...]:
+    """Return the names that an option lists, in the order of all; all where it is not given.
+
+    Raises:
+        UsageError: it lists none, or one that there is not.
+    """
+    known = tuple(available)
+    if listed is None:
+        return known
+    names = tuple(filter(None, (name.strip() for name in listed.split(","))))
+    if not names:
+        raise UsageError(f"--{option} names none; there is: {', '.join(known)}")
+    for name in names:
+        if name not in known:
+            raise UsageError(f"--{option}: no {name!r}; there is: {', '.join(known)}")
+    return names

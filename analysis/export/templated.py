@@ -97,7 +97,7 @@ ISAAC = Templated(
     numbers=_isaac_numbers,
 )
 # The ball sinks in by speed times step before it bounces. When a ball of .3 falls .3 to 3 m, it is
-# .034 off at PyBullet's own 1/240 s, and .006 with this step (`python -m tests.bench.engines`). For
+# .034 off at PyBullet's own 1/240 s, and .006 with this step (`tunenet-eval exports`). For
 # a dull ball it is shorter: what it sinks in is a larger part of a low rebound.
 PYBULLET = PyBulletFile(
     "pybullet",
@@ -108,5 +108,5 @@ PYBULLET = PyBulletFile(
     numbers=lambda ball: {} if ball.restitution >= 0.25 else {"step": 1 / 3840},
 )
 # At 1/240 s the effective restitution is up to .014 off when the ball falls .3 to 3 m, with this
-# step .004 (`python -m tests.bench.engines`).
+# step .004 (`tunenet-eval exports`).
 NEWTON = PythonFile("newton", ".py", hash_comment, 1 / 960, "newton")

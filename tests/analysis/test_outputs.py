@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 from mcap.records import Header
 
-from tests.conftest import Command
+from tests.conftest import Command, record
 from tunenet_logs.writing.writer import MAGIC, bytes_of
 
 FOREIGN = {
@@ -97,23 +97,11 @@ OUTPUTS = [
 ]
 
 
-MADE = ("--restitution", "0.74", "--quiet")
-
-
 @pytest.fixture(scope="module")
-def tuned(command: Command, tmp_path_factory: pytest.TempPathFactory, made_drop: Path) -> Path:
+def tuned(command: Command, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log with its results."""
-    folder = tmp_path_factory.mktemp("tuned")
-    log = folder / "drop.mcap"
-    shutil.copy(made_drop, log)
+    log = record(tmp_path_factory.mktemp("tuned") / "drop.mcap", restitution=0.74)
     assert command("tunenet-tune", log).returncode == 0
-    return log
-
-
-@pytest.fixture(scope="module")
-def made_drop(command: Command, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    log = tmp_path_factory.mktemp("made") / "drop.mcap"
-    assert command("tunenet-record", "--simulate", "drop", *MADE, "-o", log).returncode == 0
     return log
 
 
@@ -213,16 +201,6 @@ def test_what_is_ours_and_of_the_same_log_is_replaced_but_through_no_link(
         shutil.copy(backup, out / name)
 
 
-def test_a_review_that_is_not_wanted_stays_where_it_is_not_ours(
-    command: Command, tuned: Path, out: Path
-):
-    (out / "drop.rrd").write_bytes(FOREIGN["rrd"])
-    words = "tunenet-tune {log} -o {out} --no-review"
-    assert run(command, words, tuned, out).returncode == 0
-    assert (out / "drop.rrd").read_bytes() == FOREIGN["rrd"]
-    assert (out / "drop.json").is_file()
-
-
 def test_a_folder_within_that_is_a_link_is_not_written_through(
     command: Command, tuned: Path, out: Path, tmp_path: Path
 ):
@@ -237,12 +215,16 @@ def test_a_folder_within_that_is_a_link_is_not_written_through(
     assert seen(out) == before
 
 
-def test_a_verdict_that_got_worse_is_said(command: Command, made_drop: Path, out: Path):
+def test_a_verdict_that_got_worse_is_said_and_an_unwanted_review_stays(
+    command: Command, tuned: Path, out: Path
+):
+    (out / "drop.rrd").write_bytes(FOREIGN["rrd"])
     words = "tunenet-tune {log} -o {out} --no-review"
-    assert run(command, words, made_drop, out).returncode == 0
-    done = run(command, f"{words} --end 0.6", made_drop, out)
+    assert run(command, words, tuned, out).returncode == 0
+    done = run(command, f"{words} --end 0.6", tuned, out)
     assert f"{out / 'drop.json'}: was ok, 0.7400; is " in done.stderr
-    assert "was " not in run(command, words, made_drop, out).stderr
+    assert "was " not in run(command, words, tuned, out).stderr
+    assert (out / "drop.rrd").read_bytes() == FOREIGN["rrd"]
 
 
 LOOP = """

@@ -12,7 +12,6 @@ import pytest
 
 from tests.analysis.records import drop_record, payload_record
 from tests.conftest import ROOT, record
-from tunenet_logs.analysis.drop.checks import sure_check
 from tunenet_logs.analysis.estimators.base import ExtraEstimate
 from tunenet_logs.analysis.experiment import record_of
 from tunenet_logs.analysis.options import TuneOptions
@@ -67,14 +66,9 @@ def test_a_rejected_log_has_a_reason_and_no_number(tmp_path: Path):
     assert report["parameters"] is None
     assert report["bounces"] == []
     assert "does not bounce" in report["reason"]
-
-
-def test_a_file_that_is_no_log_was_tuned_by_no_method(tmp_path: Path):
     (tmp_path / "b.mcap").write_text("no log")
-    assert (
-        json.loads(to_json(record_of(tune_log(tmp_path / "b.mcap", TuneOptions()))))["method"]
-        is None
-    )
+    report = json.loads(to_json(record_of(tune_log(tmp_path / "b.mcap", TuneOptions()))))
+    assert report["method"] is None
 
 
 def test_a_failed_check_says_what_to_do_at_the_next_drop(drop_log: Path):
@@ -86,16 +80,6 @@ def test_a_failed_check_says_what_to_do_at_the_next_drop(drop_log: Path):
     assert [one["advice"] for one in failed] == [advice]
     assert all("advice" not in one for one in written if one["passed"])
     assert all(one.advice for one in tuning.checks)
-
-
-@pytest.mark.parametrize(
-    ("half", "shown"), [(0.0123, "±0.012 "), (0.02004, "±0.02004 "), (0.031, "±0.031 ")]
-)
-def test_a_failed_check_shows_by_how_much(half: float, shown: str):
-    check = sure_check(0.5 - half, 0.5 + half)
-    assert check.passed == (half < 0.02)
-    assert shown in check.detail
-    assert "(at most 0.02)" in check.detail
 
 
 def test_where_a_check_fails_nothing_has_an_interval():

@@ -22,7 +22,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass
@@ -33,12 +33,12 @@ import numpy as np
 from tqdm import tqdm
 
 from tests import strangers
-from tunenet_logs.analysis.evaluation.worlds.ball import DroppedBall, drop_ball
+from tests.bench import BIN, REAL, SAMPLES
+from tunenet_logs.analysis.evaluation.worlds.ball import RealBall, drop_ball
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.cli import main as record
 
 # ---- Comparison of two sets of answers to the same logs.
-
 
 MOVED = 0.1  # share of the half width of an interval by which a value may differ
 _EXACT = 1e-9  # largest difference of values in a group without any interval
@@ -85,22 +85,13 @@ Named = Mapping[str, Answer]
 
 def compared(before: Named, after: Named) -> tuple[str, bool]:
     """Tabulate the pairs and the changes, log by log; return whether there are none."""
-    groups = list(dict.fromkeys(one.group for one in before.values()))
-    changes = [
-        (name, text)
-        for group in groups
-        for name, text in _changes(_of(before, group), _of(after, group))
-    ]
-    lines = [_HEAD]
-    for group in groups:
-        first, second = _of(before, group), _of(after, group)
-        lines.append(_line(group, first, second, {name for name, _ in changes}))
-    lines += ["", *(f"{name}: {text}" for name, text in changes)] if changes else ["", "no change"]
-    return "\n".join(lines), not changes
-
-
-def _of(answers: Named, group: str) -> Named:
-    return {name: one for name, one in answers.items() if one.group == group}
+    lines, changes = [_HEAD], []
+    for group in dict.fromkeys(one.group for one in before.values()):
+        first = {log: one for log, one in before.items() if one.group == group}
+        found = _changes(first, after)
+        lines.append(_line(group, first, after, {log for log, _ in found}))
+        changes += [f"{log}: {text}" for log, text in found]
+    return "\n".join([*lines, "", *(changes or ["no change"])]), not changes
 
 
 def _changes(before: Named, after: Named) -> list[tuple[str, str]]:
@@ -122,7 +113,8 @@ def _changes(before: Named, after: Named) -> list[tuple[str, str]]:
             limit = old.half_width(name)
             limit = usual.get(name, _EXACT / MOVED) if limit is None else limit
             if len(first) != len(second) or (np.abs(second - first) > MOVED * limit).any():
-                found.append((log, f"{name} {_words(first)} is {_words(second)} now"))
+                told = [", ".join(f"{value:.6g}" for value in one) for one in (first, second)]
+                found.append((log, f"{name} {told[0]} is {told[1]} now"))
         if old.verdict == new.verdict and old.values.keys() != new.values.keys():
             found.append((log, f"told {sorted(old.values)}, now {sorted(new.values)}"))
     return found
@@ -131,10 +123,6 @@ def _changes(before: Named, after: Named) -> list[tuple[str, str]]:
 def _widths(answer: Answer, name: str) -> Array:
     found = answer.half_width(name) if name in answer.values else None
     return np.zeros(0) if found is None else found
-
-
-def _words(values: Array) -> str:
-    return ", ".join(f"{value:.6g}" for value in values)
 
 
 _HEAD = (
@@ -171,10 +159,6 @@ def _mean(values: Array, scale: float = 1.0) -> str:
 # become of the code that made them. Balls among positions come from generators that share no code
 # with the fit; films and payloads are recorded by `tunenet-record`.
 
-
-ROOT = Path(__file__).resolve().parents[2]
-REAL = ROOT.parent / "shared" / "real"
-SAMPLES = ROOT / "sample_logs"
 TARES = {"payload": SAMPLES / "payload_empty.mcap"}
 
 IDEAL, NOT_IDEAL, FILMS, PAYLOADS = 40, 20, 20, 20
@@ -257,9 +241,9 @@ def _not_ideal(folder: Path, index: int) -> FixedLog:
     """Write a ball in air whose restitution falls with speed, 1 mm of noise."""
     rng = np.random.default_rng([SEED, 2, index])
     truth = float(rng.uniform(0.3, 0.92))
-    ball = DroppedBall(
-        float(rng.uniform(0.3, 2.0)),
-        truth,
+    ball = RealBall(
+        drop_m=float(rng.uniform(0.3, 2.0)),
+        restitution=truth,
         slope=float(rng.uniform(0.0, 0.12)),
         drag_1_m=float(np.exp(rng.uniform(np.log(0.003), np.log(0.18)))),
     )
@@ -306,25 +290,17 @@ def _recorded(path: Path, *words: object) -> None:
         raise RuntimeError(f"tunenet-record ended with {code} for {path.name}")
 
 
-BIN = Path(sys.executable).parent
+# ---- Tuning them, by the commands.
+
 LOGS, ANSWERS = "logs", "answers.json"
 _MAX_S = 900
-
-
-@dataclass(frozen=True)
-class Answers:
-    """Answers of one version of the code."""
-
-    logs: Mapping[str, Answer]  # by name
-    campaign: str  # what `tunenet-review` printed of the sample campaign, without paths
 
 
 def tuned(log: FixedLog) -> Answer:
     """Tune one log in a process of its own."""
     tare = [] if log.tare is None else ["--tare", log.tare]
     with tempfile.TemporaryDirectory() as folder:
-        words = [BIN / "tunenet-tune", log.path, *tare, "-o", folder, "--jobs", "1", "--quiet"]
-        done = _run(words)
+        done = _run("tunenet-tune", log.path, *tare, "-o", folder, "--jobs", "1")
         reports = list(Path(folder).glob("*.json"))
         told: dict[str, Any] = json.loads(reports[0].read_text()) if reports else {}
     reason = told.get("reason") or ("" if told else done.stderr.strip().splitlines()[-1])
@@ -341,8 +317,8 @@ def tuned(log: FixedLog) -> Answer:
     )
 
 
-def _run(words: Sequence[object]) -> subprocess.CompletedProcess[str]:
-    command = [str(word) for word in words]
+def _run(name: str, *words: object) -> subprocess.CompletedProcess[str]:
+    command = [str(BIN / name), *map(str, words), "--quiet"]
     return subprocess.run(command, check=False, capture_output=True, text=True, timeout=_MAX_S)
 
 
@@ -353,33 +329,33 @@ def _digest(path: Path) -> str:
 
 
 def campaign_words() -> str:
-    """Return what `tunenet-review` prints of the sample campaign."""
+    """Return what `tunenet-review` prints of the sample campaign, without paths."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "campaign"
         shutil.copytree(SAMPLES / "campaign", folder)
-        words = [BIN / "tunenet-review", folder, "-o", folder / "all.rrd", "--quiet"]
-        done = _run(words)
+        done = _run("tunenet-review", folder, "-o", folder / "all.rrd")
         return (done.stdout + done.stderr).replace(str(folder), "campaign")
 
 
-def answers_to(logs: Iterable[FixedLog], jobs: int) -> Answers:
-    """Tune every log, `jobs` at a time."""
-    logs = list(logs)
+def answers_to(logs: Sequence[FixedLog], jobs: int) -> tuple[dict[str, Answer], str]:
+    """Tune every log, `jobs` at a time; return the answers by name, and the campaign's words."""
     with ThreadPoolExecutor(jobs) as pool:
         campaign = pool.submit(campaign_words)
         found = list(tqdm(pool.map(tuned, logs), "tuning", len(logs), unit="log", disable=None))
-        names = [log.name for log in logs]
-        return Answers(dict(zip(names, found, strict=True)), campaign.result())
+        return {log.name: one for log, one in zip(logs, found, strict=True)}, campaign.result()
 
 
 def write(folder: Path, jobs: int) -> None:
     """Make the logs, tune the whole set and keep both."""
     made = make_logs(folder / LOGS)
-    answers = answers_to([*given_logs(), *made], jobs)
-    tares = {log.name: log.tare.name for log in made if log.tare is not None}
-    text = json.dumps({**asdict(answers), "tares": tares}, indent=1, ensure_ascii=False)
-    (folder / ANSWERS).write_text(text + "\n")
-    print(f"{len(answers.logs)} answers in {folder / ANSWERS}")
+    answers, campaign = answers_to([*given_logs(), *made], jobs)
+    told = {
+        "logs": {name: asdict(one) for name, one in answers.items()},
+        "campaign": campaign,
+        "tares": {log.name: log.tare.name for log in made if log.tare is not None},
+    }
+    (folder / ANSWERS).write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n")
+    print(f"{len(answers)} answers in {folder / ANSWERS}")
 
 
 def compare(folder: Path, jobs: int) -> bool:
@@ -397,12 +373,12 @@ def compare(folder: Path, jobs: int) -> bool:
             logs.append(given[name])
         else:
             print(f"{name}: not there any more, or another file; left out")
-    after = answers_to(logs, jobs)
-    text, same = compared({name: before[name] for name in after.logs}, after.logs)
+    after, campaign = answers_to(logs, jobs)
+    text, same = compared({name: before[name] for name in after}, after)
     print(text)
-    if told["campaign"] != after.campaign:
-        print(f"\ncampaign, before:\n{told['campaign']}\ncampaign, after:\n{after.campaign}")
-    return same and told["campaign"] == after.campaign
+    if told["campaign"] != campaign:
+        print(f"\ncampaign, before:\n{told['campaign']}\ncampaign, after:\n{campaign}")
+    return same and told["campaign"] == campaign
 
 
 def main() -> int:

@@ -19,55 +19,14 @@ import tempfile
 import time
 import zlib
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 
 _SMALL_BYTES = 64 * 1024  # what is smaller is measured as a whole, what is larger by the byte
 _MAX_SMALL_S = 2.0  # CPU that a small log may take, to be checked and recovered
 _MAX_RATIO = 10.0  # how much more a byte of a large log may cost than one of a whole log
-_FROM_SLOW = 0.5  # of the logs made without coverage: so many come from one that was slow
-_MAX_SLOW = 40  # slow logs that are gone on from
-_MAX_BYTES = 200_000
-_REPORT_EVERY = 2_000
-# Numbers that lengths and counts are set to.
-_EDGES = (0, 1, 8, 22, 255, 65_535, 2**31 - 1, 2**32 - 1)
-
-
-@dataclass
-class Costs:
-    """CPU costs of the logs until now."""
-
-    usual_s: float  # CPU for a byte of a whole log, the median
-    logs: int = 0
-    slowest_small: tuple[float, int] = (0.0, 0)
-    ratios: list[float] = field(default_factory=list)
-
-    def is_over(self, size: int, cpu_s: float) -> bool:
-        """Check whether a log took more than one of its size may."""
-        most_s = _MAX_SMALL_S if size <= _SMALL_BYTES else _MAX_RATIO * self.usual_s * size
-        return cpu_s > most_s
-
-    def add(self, size: int, cpu_s: float) -> None:
-        """Count a log; RuntimeError where it took more than it may."""
-        self.logs += 1
-        if self.logs % _REPORT_EVERY == 0:
-            print(self.told(), file=sys.stderr, flush=True)
-        usual_s = self.usual_s * size
-        if size <= _SMALL_BYTES:
-            self.slowest_small = max(self.slowest_small, (cpu_s, size))
-        else:
-            self.ratios.append(cpu_s / usual_s)
-        if self.is_over(size, cpu_s):
-            raise RuntimeError(f"{size} bytes took {cpu_s:.2f} s, usual are {usual_s:.2f} s")
-
-    def told(self) -> str:
-        """Format the figures as a line."""
-        cpu_s, size = self.slowest_small
-        line = f"{self.logs} logs; slowest small one {cpu_s:.2f} s for {size} bytes"
-        if self.ratios:
-            worst = max(self.ratios)
-            line += f"; {len(self.ratios)} large ones, the worst {worst:.2f} times as slow as usual"
-        return f"{line} ({self.usual_s * 1e6:.2f} s/MB)"
+_FROM_SLOW, _MAX_SLOW = 0.5, 40  # without coverage: share of logs made of slow ones, of so many
+_MAX_BYTES, _REPORT_EVERY = 200_000, 2_000
+_EDGES = (0, 1, 8, 22, 255, 65_535, 2**31 - 1, 2**32 - 1)  # what lengths and counts are set to
 
 
 def mutant(data: bytes, most: int, seed: int) -> bytes:
@@ -99,19 +58,19 @@ class Bench:
     """Bench that checks and recovers logs, and measures what that costs."""
 
     def __init__(self, folder: Path) -> None:
-        from tests.bench.logs_of_all_kinds import write_all
+        from tests.bench.robustness import write_all
 
-        self.corpus = folder / "corpus"
+        self._folder, self.corpus = folder, folder / "corpus"
         self.corpus.mkdir()
         write_all(self.corpus)
         self.whole = [file.read_bytes() for file in sorted(self.corpus.iterdir())]
-        self._folder = folder
         for data in self.whole:  # what is imported late is not counted
-            self.cost_s(data)
-        usual_s = statistics.median(self.cost_s(data) / len(data) for data in self.whole)
-        self.costs = Costs(usual_s)
+            self._cost_s(data)
+        # CPU for a byte of a whole log
+        self._usual_s = statistics.median(self._cost_s(data) / len(data) for data in self.whole)
+        self._logs, self._slowest, self._ratios = 0, (0.0, 0), [0.0]
 
-    def cost_s(self, data: bytes) -> float:
+    def _cost_s(self, data: bytes) -> float:
         """Return the CPU time of a log [s]."""
         from tunenet_logs.copying import check, recover
         from tunenet_logs.errors import TuneNetError
@@ -129,12 +88,31 @@ class Bench:
         return time.process_time() - start
 
     def one(self, data: bytes) -> float:
-        """Count a log, and return its CPU time [s]; RuntimeError as in `add`."""
-        spent_s = self.cost_s(data)
-        if self.costs.is_over(len(data), spent_s):  # a busy machine makes caches cold
-            spent_s = min(spent_s, self.cost_s(data), self.cost_s(data))
-        self.costs.add(len(data), spent_s)
-        return spent_s
+        """Count a log, and return its CPU time [s]; RuntimeError where it took more than it may."""
+        size, usual_s = len(data), self._usual_s * len(data)
+        most_s = _MAX_SMALL_S if size <= _SMALL_BYTES else _MAX_RATIO * usual_s
+        cpu_s = self._cost_s(data)
+        if cpu_s > most_s:  # a busy machine makes caches cold
+            cpu_s = min(cpu_s, self._cost_s(data), self._cost_s(data))
+        self._logs += 1
+        if self._logs % _REPORT_EVERY == 0:
+            print(self.told(), file=sys.stderr, flush=True)
+        if size <= _SMALL_BYTES:
+            self._slowest = max(self._slowest, (cpu_s, size))
+        else:
+            self._ratios.append(cpu_s / usual_s)
+        if cpu_s > most_s:
+            raise RuntimeError(f"{size} bytes took {cpu_s:.2f} s, usual are {usual_s:.2f} s")
+        return cpu_s
+
+    def told(self) -> str:
+        """Format the figures as a line."""
+        cpu_s, size = self._slowest
+        return (
+            f"{self._logs} logs; slowest small one {cpu_s:.2f} s for {size} bytes; "
+            f"{len(self._ratios) - 1} large ones, the worst {max(self._ratios):.2f} times as slow "
+            f"as usual ({self._usual_s * 1e6:.2f} s/MB)"
+        )
 
 
 def _guided(folder: Path, seconds: int) -> None:
@@ -150,8 +128,7 @@ def _guided(folder: Path, seconds: int) -> None:
         return mutant(data, most, seed) if seed % 2 else atheris.Mutate(data, most)
 
     words = [sys.argv[0], str(bench.corpus), f"-max_total_time={seconds}"]
-    words += [f"-max_len={_MAX_BYTES}", "-len_control=0"]
-    # it keeps what a mutator gives it
+    words += [f"-max_len={_MAX_BYTES}", "-len_control=0"]  # which keeps what a mutator gives it
     words += ["-rss_limit_mb=8192", "-timeout=60", "-print_final_stats=1"]
 
     def one(data: bytes) -> None:
@@ -180,7 +157,7 @@ def _plain(folder: Path, seconds: int) -> None:
         slow.append((spent_s / max(len(data), _SMALL_BYTES // 8), data))
         slow.sort(key=lambda one: -one[0])
         del slow[_MAX_SLOW:]
-    print(bench.costs.told())
+    print(bench.told())
 
 
 def main() -> None:

@@ -16,12 +16,11 @@ import io
 import sys
 import tempfile
 from collections import defaultdict
-from pathlib import Path
 from types import FrameType
 
+from tests.bench import ROOT, SAMPLES
 from tunenet_logs.analysis.cli.tune import main as tune
 
-ROOT = Path(__file__).resolve().parents[2]
 LOGS = {
     "positions": ("noisy.mcap",),
     "film": ("filmed.mcap",),
@@ -44,9 +43,7 @@ def road_of(*words: str) -> Road:
         if code.co_qualname not in passed.get(file, ()) and not _is_importing(frame):
             passed[file].add(code.co_qualname)
 
-    samples = [
-        str(ROOT / "sample_logs" / word) if word.endswith(".mcap") else word for word in words
-    ]
+    samples = [str(SAMPLES / word) if word.endswith(".mcap") else word for word in words]
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         sys.setprofile(seen)
         try:

@@ -50,15 +50,14 @@ def beginning(words: Sequence[str]) -> tuple[Callable[[], object], tuple[str, ..
     """What a command of ours calls, and its arguments; None for another program's.
 
     Raises:
-        AssertionError: a module that is not there, or arguments of one that takes none.
+        AssertionError: a module that is not there.
     """
     if (name := script_of(words[0])) is not None:
         return _main(name), tuple(words[1:])
     if words[0].startswith("python") and list(words[1:2]) == ["-m"] and _is_ours(words[2]):
         module = importlib.import_module(_runnable(words[2]))
         if "ArgumentParser" not in Path(str(module.__file__)).read_text():
-            assert not words[3:], f"{words[2]} takes no arguments"
-            return _nothing, ()
+            return _nothing, tuple(words[3:])
         return module.main, tuple(words[3:])
     return None
 
@@ -69,7 +68,7 @@ def refusal(words: Sequence[str]) -> str | None:
     assert begun is not None, f"no command of ours: {words}"
     entry, arguments = begun
     if entry is _nothing:
-        return None
+        return f"{words[2]} takes no arguments" if arguments else None
     out, errors = io.StringIO(), io.StringIO()
     try:
         with (

@@ -151,7 +151,7 @@ def _vicon(path: Path) -> None:
 
 def _clip(path: Path) -> None:
     """The sample film as a phone's file."""
-    from tests.bench.storing import write_video
+    from tests.bench.stored_ways import write_video
     from tunenet_logs.reader import read_episode
 
     pictures = [frame.decode() for frame in read_episode(SAMPLES / "filmed.mcap").frames()]

@@ -18,7 +18,7 @@ from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
-from tests.recorders.free_port import free_port
+from tests.recorders.live_wait import free_port
 from tunenet_logs.reader import read_episode
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,4 +1,4 @@
-"""A process that tries to record to a name at a moment that others have been told, too.
+"""What others do to a file that is being recorded: record to its name, or take it away.
 
 `python -m tests.recorders.contender` takes lines from its standard input: "LOG NUMBER OVERWRITE
 MOMENT_NS" has it open LOG at that moment of the monotonic clock and write messages that hold its
@@ -8,17 +8,23 @@ NUMBER; it answers "won" or why not. "end" has it end the log; it answers "kept"
 from __future__ import annotations
 
 import json
+import os
 import random
+import re
+import shutil
+import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 from mcap.records import Header
 
+from tests.recorders.live_recorder import JOINTS, found_in, started
+from tests.recorders.live_recorder import Progress as Put
 from tunenet_logs.copying import check
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import LogError
@@ -129,6 +135,96 @@ def contend(
     assert np.array_equal(ball[:, 0], np.full(MESSAGES, winner.number))
     assert np.array_equal(ball[:, 1], np.arange(MESSAGES))
     log.unlink()
+
+
+# ---- A file that is taken away
+
+STRANGER = b"not a log, and not yours"
+_KEPT = re.compile(r"; (\d+) of \d+ messages are kept in (.+?); ")
+
+
+def _remove_folder(active: Path) -> None:
+    # The recorder's own files may come in between; a person would try again, too.
+    while active.parent.exists():
+        shutil.rmtree(active.parent, ignore_errors=True)
+
+
+def _replace(active: Path, copies: bool = False) -> None:
+    other = active.with_name("other")
+    other.write_bytes(active.read_bytes() if copies else STRANGER)
+    other.replace(active)
+
+
+def _link_to_nothing(active: Path) -> None:
+    active.unlink()
+    active.symlink_to(active.with_name("nothing"))
+
+
+def _put_pipe(active: Path) -> None:
+    active.unlink()
+    os.mkfifo(active)
+
+
+ATTACKS: dict[str, Callable[[Path], object]] = {
+    "removed": Path.unlink,
+    "folder removed": _remove_folder,
+    "replaced": _replace,
+    "replaced by a link to nothing": _link_to_nothing,
+    "replaced by a pipe": _put_pipe,
+    "moved": lambda active: active.rename(active.with_name("moved.mcap")),
+    "folder renamed": lambda active: active.parent.rename(active.parent.with_name("renamed")),
+    "replaced by its copy": lambda active: _replace(active, copies=True),
+}
+
+
+def attack(
+    folder: Path, how: str, seconds: float, *, ends: bool = False, acknowledged: int = 0
+) -> str:
+    """Record, take the file away after so long, and look for every acknowledged message.
+
+    Args:
+        folder: empty; its folder "logs" is recorded to, its folder "tmp" is the temporary one.
+        how: one of `ATTACKS`.
+        seconds: from the moment on when it records.
+        ends: whether a signal ends the recording right after the attack.
+        acknowledged: messages that are waited for before the attack.
+
+    Returns:
+        The last line of the recorder.
+
+    Raises:
+        AssertionError: it does not say where every message is, or a stranger's file is gone.
+    """
+    logs, temporary = folder / "logs", folder / "tmp"
+    logs.mkdir()
+    temporary.mkdir()
+    process = started(folder, [JOINTS], logs / "a.mcap", {"TMPDIR": str(temporary)})
+    row = Put(folder / "progress").row(JOINTS)
+    time.sleep(seconds)
+    while row[2] < acknowledged and process.poll() is None:
+        time.sleep(0.01)
+    ATTACKS[how](logs / "a.mcap.active")
+    if ends:
+        process.send_signal(signal.SIGTERM)
+    said = _ended(process)
+    assert process.returncode == 1, (process.returncode, said)
+    kept = _KEPT.search(said)
+    assert kept, said
+    log = logs / kept[2]
+    assert not check(log, Progress(quiet=True)).damage
+    found = found_in(log)[JOINTS]
+    assert found.wrong == 0
+    assert found.messages == int(kept[1]) >= int(row[2])
+    if how == "replaced":
+        assert (logs / "a.mcap.active").read_bytes() == STRANGER
+    assert not (logs / "a.mcap").exists()
+    return said
+
+
+def _ended(process: subprocess.Popen[str]) -> str:
+    said, _ = process.communicate(timeout=60)
+    (line,) = said.splitlines()
+    return line
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How a live test waits: for what it depends on, never for a time."""
+"""What live tests share: they wait for what they depend on, never for a time."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import fcntl
 import os
 import pty
 import re
+import secrets
 import select
+import socket
 import struct
 import subprocess
 import termios
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 LAST_RESORT_S = 120.0  # a test that waited so long fails: what it waits for will not come
 
@@ -33,6 +35,18 @@ def ending(process: subprocess.Popen[str]) -> Iterator[subprocess.Popen[str]]:
             yield process
         finally:
             process.kill()
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
+    """A port on which nobody listens now, for a program that wants to be told one.
+
+    It is below those that callers are given, which may take it while its server is away.
+    """
+    while True:
+        port = 20_000 + secrets.randbelow(12_000)
+        with suppress(OSError), socket.socket(socket.AF_INET, kind) as one:
+            one.bind(("127.0.0.1", port))
+            return port
 
 
 class Terminal:

@@ -1,4 +1,4 @@
-"""A publisher as a ROS 2 driver is one, in a process of its own, by cyclonedds.
+"""A publisher as a ROS 2 driver is one, and a recorder of it, in processes of their own.
 
 `python -m tests.recorders.ros2_publisher DOMAIN '{"messages": 3000, ...}'` waits until every topic
 is received, publishes so many messages on each at a rate, and stays until it is ended. It says
@@ -11,11 +11,12 @@ written down here again, not imported: the recorder's could be wrong.
 import itertools
 import json
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from tests.recorders.live_wait import ending
+from tests.recorders.live_wait import LAST_RESORT_S, ending
 
 ROOT = Path(__file__).resolve().parents[2]
 # Messages that are sent again to who missed them; with the usual 10 a busy machine misses some.
@@ -37,6 +38,7 @@ _KEPT = 1000
 NAMES = tuple(f"j2s7s300_joint_{number}" for number in range(1, 8))
 TORQUES = "/arm/out/joint_torques"
 STATES = "/joint_states"
+_numbers = itertools.cycle(range(1, 101))
 _MAX_S = 240  # a publisher that nobody hears ends then, so that its test fails and does not hang
 _LOOPBACK = """<CycloneDDS><Domain><General>{multicast}<Interfaces>
 <NetworkInterface address="127.0.0.1"/></Interfaces></General><Discovery>
@@ -192,6 +194,42 @@ def expect(process: subprocess.Popen[str], word: str) -> list[str]:
     line = process.stdout.readline().split()
     assert line[:1] == [word], line
     return line[1:]
+
+
+@contextmanager
+def free_domain() -> Iterator[int]:
+    """A domain that nobody else on this machine has who asks here.
+
+    Beside its UDP ports, TCP has the same numbers: whoever holds the first has the domain. Those of
+    domains over 100 are given to anybody who connects.
+    """
+    for number in itertools.islice(_numbers, 100):
+        with socket.socket() as claim, suppress(OSError):
+            claim.bind(("127.0.0.1", 7400 + 250 * number))
+            yield number
+            return
+    raise AssertionError("every domain is taken")
+
+
+def recorder(
+    domain: int, folder: Path, *options: object, stderr: int = subprocess.PIPE
+) -> AbstractContextManager[subprocess.Popen[str]]:
+    """Record a.mcap on the loopback interface by `tunenet-record` in a process of its own."""
+    words = [Path(sys.executable).with_name("tunenet-record"), "--loopback", "--domain", domain]
+    words += ["-o", "a.mcap", "--timeout", LAST_RESORT_S, *options]
+    out = subprocess.PIPE
+    return ending(
+        subprocess.Popen([*map(str, words)], cwd=folder, text=True, stdout=out, stderr=stderr)
+    )
+
+
+def ended(process: subprocess.Popen[str], number: int = 0) -> tuple[str, str]:
+    """What a recorder said, on stdout and stderr; sends it a signal before, if that is one."""
+    if number:
+        process.send_signal(number)
+    said = process.communicate(timeout=LAST_RESORT_S)
+    assert process.returncode == 0, said
+    return said
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A URDF becomes an arm that two libraries understand alike, whatever hangs on its links."""
+"""A URDF, or a name, becomes an arm that two libraries understand alike, whatever hangs on it."""
 
 from __future__ import annotations
 
@@ -10,29 +10,56 @@ import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]  (where no type checker looks)
 import pytest
 
+from tests.conftest import real
 from tests.engines import needs_pybullet
 from tunenet_logs.errors import UsageError
 from tunenet_logs.recorders.simulators.arm.description import (
+    JACO_TOOL_LINK,
     JACO_URDF,
     Arm,
     Payload,
     jaco,
     read_arm,
 )
+from tunenet_logs.recorders.simulators.arm.known import (
+    ARMS,
+    DEFAULT,
+    FOLDER,
+    arms_called,
+    known_arm,
+)
 from tunenet_logs.recorders.simulators.arm.path import JointPath, circle, random_path
 from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm
 from tunenet_logs.recorders.simulators.base import UPRIGHT_GRAVITY_M_S2
 
-TURN = 1.5707963267948966
 
-
-def by_pinocchio(urdf: str, path: JointPath) -> np.ndarray:
-    """Torques by another library, shape (T, J)."""
-    model = pinocchio.buildModelFromXML(urdf)
+def by_pinocchio(urdf: str | Path, path: JointPath) -> np.ndarray:
+    """Torques of the path's joints by another library, its other joints at 0; shape (T, J)."""
+    if isinstance(urdf, Path):
+        model = pinocchio.buildModelFromUrdf(str(urdf))
+    else:
+        model = pinocchio.buildModelFromXML(urdf)
     model.gravity.linear = np.array(UPRIGHT_GRAVITY_M_S2)
-    data = model.createData()
-    rows = zip(path.position_rad, path.velocity_rad_s, path.acceleration_rad_s2, strict=True)
-    return np.array([pinocchio.rnea(model, data, *row).copy() for row in rows])
+    data, joints = model.createData(), path.position_rad.shape[1]
+    rows = []
+    for row in range(len(path.seconds)):
+        position: list[float] = []  # a continuous joint has two coordinates there
+        for index in range(model.nv):
+            angle = path.position_rad[row, index] if index < joints else 0.0
+            is_free = model.joints[index + 1].nq == 2
+            position += [np.cos(angle), np.sin(angle)] if is_free else [angle]
+        rates = [
+            np.concatenate([part[row], np.zeros(model.nv - joints)])
+            for part in (path.velocity_rad_s, path.acceleration_rad_s2)
+        ]
+        rows.append(pinocchio.rnea(model, data, np.array(position), *rates)[:joints].copy())
+    return np.array(rows)
+
+
+def off_nm(arm: Arm, path: JointPath, held: Payload | None = None) -> float:
+    """How far two libraries are apart on an arm, at most."""
+    wanted = by_pinocchio(arm.urdf(held), path)
+    return float(np.abs(joint_efforts_nm(arm, path, held) - wanted).max())
 
 
 def link(name: str, mass: float | None = 1.0, xyz: str = "0 0 0.1", moments: str = "") -> str:
@@ -54,28 +81,24 @@ def joint(name: str, parent: str, child: str, kind: str = "revolute", more: str 
 
 
 GRASPING = (
-    link("base", None)
-    + link("upper", 3.0)
-    + link("cover", 0.4, "0.05 0 0")
-    + link("slide", 2.0)
-    + link("hand", 1.5, "0.01 0.02 0.03")
-    + link("finger", 0.2)
-    + link("tip", 0.1)
-    + link("tool", None)
-    + joint("turn", "base", "upper")
-    + joint("glue", "upper", "cover", "fixed")
-    + joint("reach", "upper", "slide", "prismatic")
-    + joint("roll", "slide", "hand", "continuous")
+    link("base", None) + link("upper", 3.0) + link("cover", 0.4, "0.05 0 0") + link("slide", 2.0)
+    + link("hand", 1.5, "0.01 0.02 0.03") + link("finger", 0.2) + link("tip", 0.1)
+    + link("tool", None) + joint("turn", "base", "upper") + joint("glue", "upper", "cover", "fixed")
+    + joint("reach", "upper", "slide", "prismatic") + joint("roll", "slide", "hand", "continuous")
     + joint("pinch", "hand", "finger")
     + joint("bend", "finger", "tip", more='<mimic joint="pinch"/>')
     + joint("hold", "hand", "tool", "fixed")
-)
+)  # fmt: skip
+STILL = JointPath(np.arange(3.0), np.full((3, 3), 0.4), *np.zeros((2, 3, 3)))
 
 
 def arm_of(folder: Path, body: str, tool: str = "tool") -> Arm:
     file = folder / "arm.urdf"
     file.write_text(f'<robot name="grasper">{body}</robot>')
     return read_arm(file, tool)
+
+
+# ---- The Jaco, and arms that others described
 
 
 def test_the_jaco_is_the_published_one():
@@ -87,58 +110,17 @@ def test_the_jaco_is_the_published_one():
     assert arm.joints[1].limits_rad == pytest.approx(np.radians([47, 313]))
     assert arm.joints[0].limits_rad == (-np.inf, np.inf)
     assert arm.joints[0].max_velocity_rad_s == pytest.approx(np.radians(36))
+    # lumping what is fixed changes nothing: another library reads the shipped file itself
+    path = circle(30)
+    assert np.abs(by_pinocchio(JACO_URDF, path) - joint_efforts_nm(arm, path)).max() < 1e-9
 
 
 @pytest.mark.parametrize("payload", [None, Payload(0.0), Payload(1.3, (0.03, -0.02, 0.01))])
 def test_two_libraries_agree_on_the_jaco(payload: Payload | None):
     arm = jaco()
     for path in (circle(30), random_path(arm, 4, rate_hz=30)):
-        efforts = joint_efforts_nm(arm, path, payload)
-        assert np.abs(efforts - by_pinocchio(arm.urdf(payload), path)).max() < 1e-9
-        assert np.sqrt(np.mean(efforts**2)) > 1
-
-
-def test_the_shipped_file_is_the_arm_that_is_made_of_it():
-    """Lumping what is fixed changes nothing: another library reads the file itself."""
-    model = pinocchio.buildModelFromUrdf(str(JACO_URDF))
-    model.gravity.linear = np.array(UPRIGHT_GRAVITY_M_S2)
-    data = model.createData()
-    path = circle(30)
-    efforts = joint_efforts_nm(jaco(), path)
-    for row in range(len(path.seconds)):
-        parts: list[float] = []  # a continuous joint has two coordinates there
-        for index, angle in enumerate(path.position_rad[row]):
-            is_free = index % 2 == 0
-            parts += [np.cos(angle), np.sin(angle)] if is_free else [angle]
-        found = pinocchio.rnea(
-            model, data, np.array(parts), path.velocity_rad_s[row], path.acceleration_rad_s2[row]
-        )
-        assert np.abs(found - efforts[row]).max() < 1e-9
-
-
-def test_any_serial_arm_with_fingers_covers_and_a_slide(tmp_path: Path):
-    arm = arm_of(tmp_path, GRASPING)
-    assert arm.joint_names == ("turn", "reach", "roll")
-    assert [one.is_prismatic for one in arm.joints] == [False, True, False]
-    assert [one.link.mass_kg for one in arm.joints] == pytest.approx([3.4, 2.0, 1.8])
-    rng = np.random.default_rng(0)
-    path = JointPath(np.arange(40.0), *rng.uniform(-1.5, 1.5, (3, 40, 3)))
-    efforts = joint_efforts_nm(arm, path, Payload(0.7, (0.02, 0.0, 0.05)))
-    model = pinocchio.buildModelFromXML(
-        f'<robot name="grasper">{GRASPING}</robot>'.replace('type="continuous"', 'type="revolute"')
-    )
-    model.gravity.linear = np.array(UPRIGHT_GRAVITY_M_S2)
-    data = model.createData()
-    empty = joint_efforts_nm(arm, path)
-    for row in range(40):
-        kinds = [
-            np.concatenate([part[row], np.zeros(2)])
-            for part in (path.position_rad, path.velocity_rad_s, path.acceleration_rad_s2)
-        ]
-        assert np.abs(pinocchio.rnea(model, data, *kinds)[:3] - empty[row]).max() < 1e-9
-    assert (
-        np.abs(efforts - by_pinocchio(arm.urdf(Payload(0.7, (0.02, 0, 0.05))), path)).max() < 1e-9
-    )
+        assert off_nm(arm, path, payload) < 1e-9
+        assert np.sqrt(np.mean(joint_efforts_nm(arm, path, payload) ** 2)) > 1
 
 
 @needs_pybullet
@@ -159,22 +141,33 @@ def test_arms_that_others_described(name: str, tool: str, tolerance: float):
     file = Path(pybullet_data.getDataPath()) / name
     arm = read_arm(file, tool)
     path = random_path(arm, 3, rate_hz=10)
-    efforts = joint_efforts_nm(arm, path)
-    model = pinocchio.buildModelFromUrdf(str(file))
-    model.gravity.linear = np.array(UPRIGHT_GRAVITY_M_S2)
-    data = model.createData()
-    spare = np.zeros(model.nv - len(arm.joints))
-    assert list(model.names)[1 : len(arm.joints) + 1] == list(arm.joint_names)
-    for row in range(len(path.seconds)):
-        state = [
-            np.concatenate([part[row], spare])
-            for part in (path.position_rad, path.velocity_rad_s, path.acceleration_rad_s2)
-        ]
-        found = pinocchio.rnea(model, data, *state)[: len(arm.joints)]
-        assert np.abs(found - efforts[row]).max() < tolerance
+    names = list(pinocchio.buildModelFromUrdf(str(file)).names)
+    assert names[1 : len(arm.joints) + 1] == list(arm.joint_names)
+    assert np.abs(by_pinocchio(file, path) - joint_efforts_nm(arm, path)).max() < tolerance
 
 
-def test_the_tool_link_says_where_the_arm_ends(tmp_path: Path):
+def test_an_arm_whose_base_is_no_body_is_read():
+    """A published one; a link that it moves has a moment below 0, too."""
+    arm = read_arm(real("ros1/jaco2_6dof_bsd3.urdf"), "jaco_link_hand")
+    assert len(arm.joints) == 6
+    (remark,) = arm.remarks
+    assert "jaco_link_2" in remark
+    assert off_nm(arm, random_path(arm, 1, rate_hz=10, seconds=2)) < 1e-9
+
+
+# ---- Any serial arm with fingers, covers and a slide
+
+
+def test_any_serial_arm_with_fingers_covers_and_a_slide(tmp_path: Path):
+    arm = arm_of(tmp_path, GRASPING)
+    assert arm.joint_names == ("turn", "reach", "roll")
+    assert [one.is_prismatic for one in arm.joints] == [False, True, False]
+    assert [one.link.mass_kg for one in arm.joints] == pytest.approx([3.4, 2.0, 1.8])
+    path = JointPath(np.arange(40.0), *np.random.default_rng(0).uniform(-1.5, 1.5, (3, 40, 3)))
+    wanted = by_pinocchio(tmp_path / "arm.urdf", path)
+    assert np.abs(joint_efforts_nm(arm, path) - wanted).max() < 1e-9
+    assert off_nm(arm, path, Payload(0.7, (0.02, 0.0, 0.05))) < 1e-9
+    # the tool link says where the arm ends
     assert arm_of(tmp_path, GRASPING, "slide").joint_names == ("turn", "reach")
     assert arm_of(tmp_path, GRASPING, "finger").joint_names == ("turn", "reach", "roll", "pinch")
 
@@ -183,9 +176,8 @@ def test_an_inertia_that_is_no_bodys_is_taken_as_the_nearest(tmp_path: Path):
     """Else PyBullet would take it for none."""
     moments = 'ixx="0.1" iyy="0.1" izz="0.21"'
     body = link("base") + link("arm", 1.0, moments=moments) + joint("turn", "base", "arm")
-    arm = arm_of(tmp_path, body, "arm")
     path = JointPath(np.arange(5.0), np.zeros((5, 1)), np.zeros((5, 1)), np.ones((5, 1)))
-    assert np.abs(joint_efforts_nm(arm, path) - by_pinocchio(arm.urdf(), path)).max() < 1e-9
+    assert off_nm(arm_of(tmp_path, body, "arm"), path) < 1e-9
 
 
 def test_a_moment_below_0_is_raised_and_said(tmp_path: Path):
@@ -196,9 +188,8 @@ def test_a_moment_below_0_is_raised_and_said(tmp_path: Path):
     (remark,) = arm.remarks
     assert "link upper" in remark
     assert "-0.1 kg m²" in remark
-    still = JointPath(np.arange(3.0), np.full((3, 3), 0.4), *np.zeros((2, 3, 3)))
-    assert joint_efforts_nm(arm, still) == pytest.approx(joint_efforts_nm(sound, still), abs=1e-9)
-    assert np.abs(joint_efforts_nm(arm, still) - by_pinocchio(arm.urdf(), still)).max() < 1e-9
+    assert joint_efforts_nm(arm, STILL) == pytest.approx(joint_efforts_nm(sound, STILL), abs=1e-9)
+    assert off_nm(arm, STILL) < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -216,6 +207,35 @@ def test_a_hand_that_is_not_mounted_is_not_of_the_arm(tmp_path: Path):
     for tool in ("palm", "thumb"):
         with pytest.raises(UsageError, match=f"link palm, so {tool} is on no arm; add a fixed"):
             arm_of(tmp_path, GRASPING + hand, tool)
+
+
+USES_IT = """
+import sys, numpy as np
+from pathlib import Path
+from tunenet_logs.recorders.simulators.arm.description import Payload, read_arm
+from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm
+from tunenet_logs.recorders.simulators.arm.path import JointPath
+path = JointPath(np.arange(3.0), *np.zeros((3, 3, 3)))
+for name in sys.argv[1:]:
+    assert joint_efforts_nm(read_arm(Path(name), 'tool'), path, Payload(0.5)).shape == (3, 3)
+"""
+
+
+def test_names_stay_text_and_those_that_the_engine_has_already_do_not_end_it(tmp_path: Path):
+    """In a process of its own: the engine ends it where two names are the same."""
+    arm = arm_of(tmp_path, GRASPING.replace('name="turn"', 'name="a&quot;&lt;b&gt;"'))
+    assert off_nm(arm, STILL) < 1e-9
+    assert arm.joint_names[0] == 'a"<b>'
+    files = []
+    for name in ("payload_mount", "payload", "base", "link_2", "joint_2"):
+        files.append(tmp_path / f"{name}.urdf")
+        body = GRASPING.replace('name="turn"', f'name="{name}"')
+        files[-1].write_text(f'<robot name="grasper">{body}</robot>')
+    result = subprocess.run([sys.executable, "-c", USES_IT, *files], capture_output=True, text=True)
+    assert result.returncode == 0, (result.returncode, result.stderr)
+
+
+# ---- Bad files, and bad payloads
 
 
 @pytest.mark.parametrize(
@@ -244,9 +264,7 @@ def test_a_hand_that_is_not_mounted_is_not_of_the_arm(tmp_path: Path):
         ('<mass value="2.0"/>', '<mass value="0"/>', ["joint reach", "no mass", "slide"]),
     ],
 )
-def test_a_bad_file_is_one_line_with_file_element_and_value(
-    tmp_path: Path, old: str, new: str, words: list[str]
-):
+def test_a_bad_file_is_one_line_with_file_element_and_value(tmp_path: Path, old, new, words):
     file = tmp_path / "arm.urdf"
     text = f'<robot name="grasper">{GRASPING}</robot>'
     assert old in text
@@ -259,53 +277,31 @@ def test_a_bad_file_is_one_line_with_file_element_and_value(
     assert "\n" not in message
 
 
-def test_other_bad_files(tmp_path: Path):
+def test_what_is_no_text_is_no_description(tmp_path: Path):
     file = tmp_path / "arm.urdf"
-    with pytest.raises(UsageError, match="No such file"):
-        read_arm(file, "tool")
-    file.write_text("<sdf/>")
-    with pytest.raises(UsageError, match=r"<sdf>.*<robot>"):
-        read_arm(file, "tool")
-    file.write_bytes(b"\xff\xfe<\x00")
-    with pytest.raises(UsageError, match="UTF-8"):
-        read_arm(file, "tool")
-    file.write_bytes(b" " * 4_000_001)
-    with pytest.raises(UsageError, match="4 MB"):
-        read_arm(file, "tool")
-    file.write_text(f'<robot name="x">{GRASPING}</robot>')
-    with pytest.raises(UsageError, match=r"joint bend.*<mimic>.*tip"):
-        read_arm(file, "tip")
-    with pytest.raises(UsageError, match=r"--tool-link.*upper.*hand"):
-        read_arm(file, "wrist")
-    with pytest.raises(UsageError, match="0 joints move link base"):
-        read_arm(file, "base")
+    for data, says in (
+        (None, "No such file"),
+        (b"<sdf/>", r"<sdf>.*<robot>"),
+        (b"\xff\xfe<\x00", "UTF-8"),
+        (b" " * 4_000_001, "4 MB"),
+    ):
+        if data is not None:
+            file.write_bytes(data)
+        with pytest.raises(UsageError, match=says):
+            read_arm(file, "tool")
 
 
-def test_names_stay_text_in_the_description_for_engines(tmp_path: Path):
-    body = GRASPING.replace('name="turn"', 'name="a&quot;&lt;b&gt;"')
-    arm = arm_of(tmp_path, body)
-    path = JointPath(np.arange(3.0), *np.zeros((3, 3, 3)))
-    assert np.abs(joint_efforts_nm(arm, path) - by_pinocchio(arm.urdf(), path)).max() < 1e-9
-    assert arm.joint_names[0] == 'a"<b>'
-
-
-@pytest.mark.parametrize("name", ["payload_mount", "payload", "base", "link_2", "joint_2"])
-def test_names_that_the_engine_has_already_do_not_end_it(tmp_path: Path, name: str):
-    """In a process of its own: the engine ends it where two names are the same."""
-    arm_of(tmp_path, GRASPING.replace('name="turn"', f'name="{name}"'))
-    code = (
-        "import sys, numpy as np; from pathlib import Path\n"
-        "from tunenet_logs.recorders.simulators.arm.description import Payload, read_arm\n"
-        "from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm\n"
-        "from tunenet_logs.recorders.simulators.arm.path import JointPath\n"
-        "path = JointPath(np.arange(3.0), *np.zeros((3, 3, 3)))\n"
-        "arm = read_arm(Path(sys.argv[1]), 'tool')\n"
-        "assert joint_efforts_nm(arm, path, Payload(0.5)).shape == (3, 3)\n"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code, tmp_path / "arm.urdf"], capture_output=True, text=True
-    )
-    assert result.returncode == 0, (result.returncode, result.stderr)
+@pytest.mark.parametrize(
+    ("tool", "says"),
+    [
+        ("tip", r"joint bend.*<mimic>.*tip"),
+        ("wrist", r"--tool-link.*upper.*hand"),
+        ("base", "0 joints move link base"),
+    ],
+)
+def test_a_link_where_no_arm_ends_is_refused(tmp_path: Path, tool: str, says: str):
+    with pytest.raises(UsageError, match=says):
+        arm_of(tmp_path, GRASPING, tool)
 
 
 @pytest.mark.parametrize("mass", [-0.1, float("nan"), float("inf"), 1e5])
@@ -314,3 +310,101 @@ def test_engines_never_see_a_bad_payload(mass: float):
         Payload(mass)
     with pytest.raises(UsageError, match="payload"):
         Payload(1.0, (0.0, mass * 1e3, 0.0))
+
+
+# ---- Arms by name
+
+# Of the gripper by its maker's manual, and by the paper's first author.
+_ROBOTIQ_KG, _PAPERS_ROBOTIQ_KG = 0.905, 0.827563
+
+PUBLISHED_KG = {
+    # kinova_inertial.xacro of kinova-ros: arm, half arms, forearm, wrists, hand, 6 finger parts
+    "jaco7": 0.7477 + 2 * 0.8447 + 0.6763 + 2 * 0.463 + 0.99 + 6 * 0.01,
+    "jaco7-robotiq85": 0.7477 + 2 * 0.8447 + 0.6763 + 3 * 0.463 + _PAPERS_ROBOTIQ_KG,
+    "jaco6": 0.7477 + 0.99 + 0.6763 + 2 * 0.463 + 0.99 + 6 * 0.01,
+    "jaco6-robotiq85": 0.7477 + 0.99 + 0.6763 + 3 * 0.463 + _PAPERS_ROBOTIQ_KG,
+    "jaco6-bent": 0.7477 + 0.99 + 0.6763 + 2 * 0.426367 + 0.99 + 6 * 0.01,
+    # Universal Robots' article on parameters for kinematics and dynamics
+    "ur5e": 3.761 + 8.058 + 2.846 + 1.37 + 1.3 + 0.365,
+    "ur10e": 7.369 + 13.051 + 3.989 + 2.1 + 1.98 + 0.615,
+    # Gaz et al., 2019, table of the link masses; the hand and two fingers by Franka
+    "panda-bare": 4.970684 + 0.646926 + 3.228604 + 3.587895 + 1.225946 + 1.666555 + 0.735522,
+    "panda": 16.062132 + 0.73 + 2 * 0.015,
+    "fr3": 16.062132 + 0.73 + 2 * 0.015,
+    # kuka_lwr.urdf.xacro of kuka-lwr: five links, wrist, tip
+    "lwr": 5 * 2.35 + 1.1 + 0.25,
+    # gen3_macro.xacro of ros_kortex: shoulder, half arms, forearm, wrists, bracelet
+    "gen3": 1.3773 + 2 * 1.1636 + 0.9302 + 2 * 0.6781 + 0.5,
+    "gen3-robotiq85": 6.4909 + _ROBOTIQ_KG,
+    # xarm7_type7_HT_BR2.yaml of xarm_ros; the gripper's nine parts of xarm_ros2
+    "xarm7": 2.382 + 1.869 + 1.6383 + 1.7269 + 1.3203 + 1.325 + 0.17,
+    "xarm7-gripper": 10.4315 + 0.54156 + 2 * (0.033618 + 0.048304) + 2 * 0.023013,
+}
+
+
+@pytest.mark.usefixtures("each_engine")
+@pytest.mark.parametrize("name", ARMS)
+def test_an_engine_and_another_library_agree(name: str):
+    arm, held = known_arm(name).arm(), Payload(0.7, (0.02, -0.01, 0.05))
+    path = random_path(arm, 4, rate_hz=10, seconds=3)
+    assert off_nm(arm, path, held) < 1e-9
+    assert np.sqrt(np.mean(joint_efforts_nm(arm, path, held) ** 2)) > 1
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_links_weigh_what_was_published(name: str):
+    known = known_arm(name)
+    arm = known.arm()
+    assert sum(joint.link.mass_kg for joint in arm.joints) == pytest.approx(PUBLISHED_KG[name])
+    assert arm.remarks == ()
+    for joint in arm.joints:
+        moments, _ = joint.link.principal()
+        assert moments[0] > 0, joint.name
+        assert joint.max_effort_nm < 400
+        assert 0.5 < joint.max_velocity_rad_s < 4
+    assert {len(names) for names in known.joint_names} == {len(arm.joints)}
+    assert arm.joint_names in known.joint_names
+
+
+def test_every_description_has_a_name_and_a_source():
+    sources = "".join(path.read_text() for path in FOLDER.glob("*.md"))
+    assert {path.stem for path in FOLDER.glob("*.urdf")} == set(ARMS)
+    assert all(f"`{name}`" in sources for name in ARMS)
+    default = known_arm(DEFAULT)
+    assert (default.urdf, default.tool_link) == (JACO_URDF, JACO_TOOL_LINK)
+
+
+def test_a_name_that_is_none_is_one_line_with_the_nearest():
+    for name, says in (
+        ("pandda", "--arm pandda: no such arm; did you mean panda or panda-"),
+        ("ur5", "did you mean ur5e or ur10e"),
+        ("scara", r"known are jaco7-robotiq85, jaco7, jaco6.*--urdf FILE"),
+    ):
+        with pytest.raises(UsageError, match=says):
+            known_arm(name)
+    assert known_arm("UR5e").name == "ur5e"
+
+
+@pytest.mark.parametrize(
+    ("columns", "names"),
+    [
+        (tuple(f"j2s7s300_joint_{k}" for k in range(1, 8)), ["jaco7-robotiq85", "jaco7"]),
+        (tuple(f"left_j2n6s300_joint_{k}" for k in range(1, 7)), ["jaco6-bent"]),
+        (tuple(f"arm/panda_joint{k}" for k in range(7, 0, -1)), ["panda", "panda-bare"]),
+        (tuple(f"fr3_joint{k}" for k in range(1, 8)), ["fr3"]),
+        (tuple(f"lwr_arm_{k}_joint" for k in range(7)), ["lwr"]),
+        (tuple(f"joint{k}" for k in range(1, 8)), ["xarm7", "xarm7-gripper"]),
+        (tuple(f"joint_{k}" for k in range(1, 8)), ["gen3", "gen3-robotiq85"]),
+        (tuple(f"panda_joint{k}" for k in range(1, 7)), []),
+        (tuple(f"spanda_joint{k}" for k in range(1, 8)), ["xarm7", "xarm7-gripper"]),
+    ],
+)
+def test_joints_names_say_whose_they_are(columns: tuple[str, ...], names: list[str]):
+    assert [known.name for known in arms_called((*columns, "finger_joint"))] == names
+
+
+def test_joints_are_called_as_the_log_calls_them():
+    lwr = known_arm("lwr")
+    columns = tuple(f"lwr_{axis}_joint" for axis in ("a1", "a2", "e1", "a3", "a4", "a5", "a6"))
+    assert lwr.arm(columns[::-1]).joint_names == columns
+    assert lwr.arm().joint_names == tuple(f"lwr_arm_{number}_joint" for number in range(7))

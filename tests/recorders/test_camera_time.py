@@ -1,107 +1,279 @@
-"""The camera's clock, placed on ours."""
+"""When a picture was taken: the camera's clock placed on ours, told times, and even stamps."""
 
 from __future__ import annotations
 
+import io
 import random
+from pathlib import Path
 
-from tunenet_logs.episode import Frame
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from tests.recorders.conftest import Record
+from tests.recorders.mjpeg_camera import picture, playing
+from tunenet_logs.copying import check
+from tunenet_logs.episode import EpisodeInfo, Frame
+from tunenet_logs.messages import CAMERA_TOPIC
+from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.camera.base import CapturedFrame
-from tunenet_logs.recorders.camera.clock import CameraTime, Timed
+from tunenet_logs.recorders.camera.clock import CameraTime, stamp_evenly
+from tunenet_logs.recorders.camera.streams import MultipartParser, ToldTimes
 from tunenet_logs.recorders.session import Item
+from tunenet_logs.terminal import Progress
+from tunenet_logs.timing.arrivals import BY_ARRIVALS, STAMPS_NOTE
+from tunenet_logs.writing.writer import EpisodeWriter, header_stamps_ns
 
-MS = 1_000_000
-SECOND = 1000 * MS
+MS, SECOND = 1_000_000, 1_000_000_000
 START_NS = 1_700_000_000 * SECOND
+PERIOD_NS = SECOND // 60
+
+# ---- The camera's clock, placed on ours: (arrival, told) [ns], the arrival from `START_NS` on
+
+Times = list[tuple[int, int | None]]
 
 
-def shots(times: list[tuple[int, int | None]]) -> list[Item[CapturedFrame]]:
-    """Of (arrival, told) [ns], the arrival from `START_NS` on."""
+def shots(times: Times) -> list[Item[CapturedFrame]]:
     return [
         Item("", 0, START_NS + came, CapturedFrame(Frame(START_NS + came, "jpeg", b"x"), told), 1)
         for came, told in times
     ]
 
 
-def all_timed(clock: CameraTime, times: list[tuple[int, int | None]]) -> list[Timed]:
+def stamps_ns(clock: CameraTime, times: Times) -> list[int]:
     timed = [one for item in shots(times) for one in clock.timed(item)]
-    return timed + list(clock.rest())
+    return [one.frame.stamp_ns - START_NS for one in [*timed, *clock.rest()]]
 
 
-def stamps_ns(clock: CameraTime, times: list[tuple[int, int | None]]) -> list[int]:
-    return [one.frame.stamp_ns - START_NS for one in all_timed(clock, times)]
+STEPS = [number * 20 * MS for number in range(100)]
+ANEW = [SECOND // 4 + one for one in STEPS]
+AHEAD = [100 * SECOND + one for one in STEPS]
+SECONDS = [number * SECOND for number in range(5)]
+DUE = [number * 20 * MS for number in range(300)]
 
 
-def test_what_was_read_ahead_is_placed_by_what_came_at_once():
-    told = [7 * SECOND + number * 20 * MS for number in range(100)]
-    # Ten pictures wait while the stream is looked at; what follows comes 3 ms after its time.
-    came = [max(number * 20, 200) * MS + 3 * MS for number in range(100)]
+@pytest.mark.parametrize(
+    ("times", "wanted", "notes"),
+    [
+        (  # ten pictures wait while the stream is looked at; the rest comes 3 ms after its time
+            [(max(one, 200 * MS) + 3 * MS, 7 * SECOND + one) for one in STEPS],
+            [one + 3 * MS for one in STEPS],
+            {"stamps": "camera"},
+        ),
+        (
+            list(zip(DUE, STEPS + ANEW + AHEAD, strict=True)),
+            DUE,
+            {"stamps": "camera", "camera_clock_leaps": "2"},
+        ),
+        ([(5, None), (5, None), (9, None)], [5, 6, 9], {"stamps": "arrival"}),
+        (
+            [(one + 7, None) if one == 3 * SECOND else (one, one) for one in SECONDS],
+            [one + 7 * (one == 3 * SECOND) for one in SECONDS],
+            {"stamps": "camera, 1 by arrival"},
+        ),
+    ],
+    ids=[
+        "read ahead",
+        "begins anew or leaps ahead",
+        "no told times, never one twice",
+        "one untold",
+    ],
+)
+def test_pictures_are_placed_by_what_came_at_once(times: Times, wanted: list[int], notes: dict):
     clock = CameraTime()
-    assert stamps_ns(clock, list(zip(came, told, strict=True))) == [
-        number * 20 * MS + 3 * MS for number in range(100)
-    ]
-    assert clock.notes() == {"stamps": "camera"}
+    assert stamps_ns(clock, times) == wanted
+    assert clock.notes() == notes
 
 
 def test_nothing_waits_longer_than_the_hold():
     clock = CameraTime()
-    first, second = shots([(0, 5), (20 * MS, 20 * MS + 5)])
-    assert not list(clock.timed(first))
-    assert not list(clock.timed(second))
+    for one in shots([(0, 5), (20 * MS, 20 * MS + 5)]):
+        assert not list(clock.timed(one))
     assert not list(clock.due(START_NS + 499 * MS))
-    assert [one.frame.stamp_ns for one in clock.due(START_NS + 500 * MS)] == [
-        START_NS, START_NS + 20 * MS,
-    ]  # fmt: skip
+    due = [one.frame.stamp_ns for one in clock.due(START_NS + 500 * MS)]
+    assert due == [START_NS, START_NS + 20 * MS]
     assert not list(clock.rest())
 
 
 def test_steps_are_the_cameras_to_the_nanosecond_whatever_the_network_does():
     rng = random.Random(0)
     told = [round(number * SECOND / 59.94) for number in range(600)]
-    came = 0
-    times: list[tuple[int, int | None]] = []
+    came, times = 0, []
     for number, source_stamp_ns in enumerate(told):
-        stalled = 2500 * MS if 200 <= number < 350 else 0
-        came = max(
-            came, source_stamp_ns + rng.randrange(40 * MS), told[200] + stalled if stalled else 0
-        )
+        stalled = told[200] + 2500 * MS if 200 <= number < 350 else 0
+        came = max(came, source_stamp_ns + rng.randrange(40 * MS), stalled)
         times.append((came, source_stamp_ns))
     seen = stamps_ns(CameraTime(), times)
     assert [stamp - seen[0] for stamp in seen] == told
     assert all(stamp <= came + 40 * MS for stamp, (came, _) in zip(seen, times, strict=True))
 
 
-def test_a_clock_that_begins_anew_or_leaps_ahead_is_placed_anew():
-    told = [number * 20 * MS for number in range(100)]
-    again = [SECOND // 4 + number * 20 * MS for number in range(100)]
-    ahead = [100 * SECOND + number * 20 * MS for number in range(100)]
-    clock = CameraTime()
-    times = [(number * 20 * MS, one) for number, one in enumerate(told + again + ahead)]
-    assert stamps_ns(clock, list(times)) == [number * 20 * MS for number in range(300)]
-    assert clock.notes() == {"stamps": "camera", "camera_clock_leaps": "2"}
-
-
 def test_pictures_that_change_places_are_no_leap():
     order = [0, 3, 1, 2, 6, 4, 5, *range(7, 60)]
     clock = CameraTime()
-    times: list[tuple[int, int | None]] = [
-        (60 * MS + place * 20 * MS, number * 20 * MS) for place, number in enumerate(order)
-    ]
+    times: Times = [(60 * MS + at * 20 * MS, one * 20 * MS) for at, one in enumerate(order)]
     seen = stamps_ns(clock, times)
     assert [stamp - seen[0] for stamp in seen] == [number * 20 * MS for number in order]
     assert clock.leaps == 0
 
 
-def test_without_told_times_the_arrival_is_the_stamp_and_two_never_share_one():
-    clock = CameraTime()
-    assert stamps_ns(clock, [(5, None), (5, None), (9, None)]) == [5, 6, 9]
-    assert clock.notes() == {"stamps": "arrival"}
+# ---- The times that servers write beside their pictures: used where they are a clock's
 
 
-def test_a_picture_without_a_told_time_among_others_is_counted():
-    clock = CameraTime()
-    times: list[tuple[int, int | None]] = [
-        (number * SECOND, number * SECOND) for number in range(5)
-    ]
-    times[3] = (3 * SECOND + 7, None)
-    assert stamps_ns(clock, times) == [0, SECOND, 2 * SECOND, 3 * SECOND + 7, 4 * SECOND]
-    assert clock.notes() == {"stamps": "camera, 1 by arrival"}
+@pytest.mark.parametrize(
+    ("header", "stamp_ns"),
+    [
+        ("X-Timestamp: 1700000000.123456", 1_700_000_000_123_456_000),
+        ("x-timestamp:12.5", 12_500_000_000),
+        ("Timestamp: 3.000000001", 3_000_000_001),
+        ("X-Timestamp: 9.5\r\nX-UStreamer-Grab-Begin-Time: 8.25", 8_250_000_000),
+        ("X-Timestamp: 1700000000", None),
+        ("X-Timestamp: -1.5", None),
+        ("X-Timestamp: nan", None),
+        ("X-Timestamp: 1e9.5", None),
+        ("Timestamp: 2026-01-01T00:00:00", None),
+        ("X-Timestamp: 999999999999.5", None),
+        ("X-Framerate: 30.0", None),
+    ],
+)
+@pytest.mark.parametrize("data", [b"abcd", picture(1)], ids=["some bytes", "a picture"])
+def test_what_servers_write(header: str, stamp_ns: int | None, data: bytes):
+    part = f"--x\r\n{header}\r\nContent-Length: {len(data)}\r\n\r\n".encode() + data + b"\r\n"
+    (only,) = MultipartParser(io.BytesIO(part).read, "x", lambda: 5).parts()
+    assert (only.source_stamp_ns, only.arrived_ns, only.data) == (stamp_ns, 5, data)
+
+
+def taken(times_s: list[float]) -> tuple[list[int | None], bool]:
+    """What becomes of told times of 30 pictures a second, and whether they are believed."""
+    clock = ToldTimes()
+    arrivals_ns = (round(index * SECOND / 30) for index in range(len(times_s)))
+    told_ns = (round(one * SECOND) for one in times_s)
+    seen = [clock.taken_ns(*each) for each in zip(told_ns, arrivals_ns, strict=True)]
+    return seen, clock.is_trusted
+
+
+def test_a_clock_is_believed_though_it_is_set_once():
+    even = [100 + index / 30 for index in range(90)]
+    seen, is_trusted = taken([*even, *(one - 50 for one in even)])
+    assert is_trusted
+    assert sum(one is None for one in seen) == 1
+
+
+@pytest.mark.parametrize(
+    "times_s",
+    [
+        [5.0] * 90,
+        [float(f"{index // 30}.{index % 30 * 33_333}") for index in range(300)],  # not padded
+        [index * 33.3 for index in range(300)],  # milliseconds
+        [index / 30_000 for index in range(300)],
+    ],
+)
+def test_what_is_no_clock_is_left_out(times_s: list[float]):
+    assert not taken(times_s)[1]
+
+
+def test_jitter_and_bursts_do_not_matter():
+    clock = ToldTimes()
+    for index in range(300):
+        arrived_ns = index // 15 * 15 * SECOND // 30
+        assert clock.taken_ns(index * SECOND // 30, arrived_ns) is not None
+    assert clock.is_trusted
+
+
+# ---- Pictures that come late, of a camera that tells no times
+
+
+def log_times_ns(path: Path) -> list[int]:
+    with path.open("rb") as log:
+        return [message.log_time for *_, message in make_reader(log).iter_messages()]
+
+
+@pytest.mark.live
+def test_a_delayed_stream_is_stamped_evenly_and_keeps_its_arrivals(record: Record, tmp_path: Path):
+    path, note = tmp_path / "late.mcap", ""
+    for _ in range(4):  # a machine that is busy for most of two seconds leaves nothing to find
+        with playing(frames=120, rate_hz=60.0, jitter_s=0.02) as address:
+            words = ("--camera", f"http://{address}", "-o", path, "--quiet", "--overwrite")
+            assert record(*words).returncode == 0
+        note = read_episode(path).info.notes[STAMPS_NOTE]
+        if note.startswith(BY_ARRIVALS):
+            break
+    stamps, arrived = np.array(header_stamps_ns(path, CAMERA_TOPIC)), np.array(log_times_ns(path))
+    assert len(stamps) == 120
+    assert note.startswith(BY_ARRIVALS)
+    steps = np.diff(stamps) / PERIOD_NS
+    assert np.abs(steps - np.round(steps)).max() < 0.01
+    assert np.diff(arrived).std() > 5 * np.diff(stamps).std()
+    assert np.all(stamps <= arrived)
+
+
+@pytest.mark.live
+def test_arrivals_for_those_who_want_them(record: Record, tmp_path: Path):
+    path = tmp_path / "late.mcap"
+    with playing(frames=90, rate_hz=200.0, jitter_s=0.006) as address:
+        words = ("--camera", f"http://{address}", "-o", path, "--quiet", "--stamps", "arrival")
+        assert record(*words).returncode == 0
+    assert header_stamps_ns(path, CAMERA_TOPIC) == log_times_ns(path)
+    assert read_episode(path).info.notes[STAMPS_NOTE] == "arrival"
+
+
+def written(path: Path, arrivals_ns: list[int], **notes: str) -> Path:
+    """A log of a live camera that told no times."""
+    info = EpisodeInfo(kind="drop", notes={STAMPS_NOTE: "arrival", **notes})
+    with EpisodeWriter(path, info) as writer:
+        for number, stamp_ns in enumerate(arrivals_ns):
+            frame = Frame(stamp_ns, "jpeg", picture(number))
+            writer.write_frame(CAMERA_TOPIC, frame, stamp_ns)
+    return path
+
+
+def late(first: int, count: int, seed: int) -> list[int]:
+    rng, came = random.Random(seed), 0
+    found: list[int] = []
+    for tick in range(count):
+        came = max(came + 1000, first + tick * PERIOD_NS + round(rng.expovariate(1 / 10e6)))
+        found.append(came)
+    return found
+
+
+def test_all_else_in_the_log_stays(tmp_path: Path):
+    arrivals = late(10**18, 200, 1)
+    path = written(tmp_path / "a.mcap", arrivals, ball="tennis")
+    before = [frame.data for frame in read_episode(path).frames()]
+    said = stamp_evenly(path, read_episode(path).info.notes, 0)
+    assert said.startswith(f"{BY_ARRIVALS} (60.00 Hz")
+    episode = read_episode(path)
+    assert [frame.data for frame in episode.frames()] == before
+    assert [frame.stamp_ns for frame in episode.frames()] == arrivals
+    assert log_times_ns(path) == arrivals
+    assert episode.info.notes["ball"] == "tennis"
+    assert episode.info.counts["written"] == 200
+    assert not check(path, Progress(quiet=True)).damage
+    assert [one.name for one in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_each_part_between_gaps_has_a_clock_of_its_own(tmp_path: Path):
+    first, second = late(10**18, 120, 2), late(10**18 + 4 * 10**9 + 7_000_000, 120, 3)
+    gaps = f"{first[-1]}-{second[0]}"
+    path = written(tmp_path / "a.mcap", first + second, gaps=gaps)
+    assert stamp_evenly(path, {"gaps": gaps}, 0).count("60.00 Hz") == 2
+    stamps = np.array(header_stamps_ns(path, CAMERA_TOPIC))
+    for part in (stamps[:120], stamps[120:]):
+        assert np.abs(np.diff(part) - PERIOD_NS).max() < 20_000
+
+
+def slowing() -> list[int]:
+    rng = np.random.default_rng(4)
+    came = np.cumsum(np.linspace(33e6, 80e6, 150)) + rng.uniform(0, 20e6, 150)
+    return (10**18 + np.maximum.accumulate(came).astype(np.int64) + np.arange(150)).tolist()
+
+
+@pytest.mark.parametrize(
+    ("arrivals", "min_free", "says"),
+    [(slowing(), 0, "rate of the pictures goes from"), (late(10**18, 100, 5), 1 << 60, "no room")],
+    ids=["a camera that slows down", "no room for a copy"],
+)
+def test_arrivals_stay_where_there_is_a_reason(tmp_path: Path, arrivals, min_free, says: str):
+    path = written(tmp_path / "a.mcap", arrivals)
+    assert says in stamp_evenly(path, {}, min_free)
+    assert header_stamps_ns(path, CAMERA_TOPIC) == arrivals

@@ -1,86 +1,201 @@
-"""No camera holds up the recorder, and none keeps it from ending at Ctrl-C."""
+"""No camera holds up the recorder, fills its memory, or keeps it from ending at Ctrl-C."""
 
 from __future__ import annotations
 
+import os
 import resource
 import signal
 import socket
+import struct
 import subprocess
+import sys
 import threading
-from contextlib import suppress
+from contextlib import AbstractContextManager, closing, suppress
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.conftest import BIN, Command
-from tests.recorders.hostile_cameras import CONTINUE, MOVED, OK, sending, serving_each
+from tests.conftest import BIN, ROOT
+from tests.hostile_files import FILE_TYPE, mp4_of_many
+from tests.recorders.conftest import Record
+from tests.recorders.films import PATIENT, MadeSource, film, numbered
 from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
-from tests.recorders.made_source import MadeSource
 from tests.recorders.mjpeg_camera import picture
+from tests.recorders.servers import (
+    PART,
+    SDP,
+    STREAM,
+    hostile_rtsp,
+    http,
+    ok,
+    rtsp_camera,
+    sending,
+    serving_each,
+)
 from tunenet_logs.errors import CameraError
 from tunenet_logs.recorders.camera.device import opened_within
 from tunenet_logs.recorders.camera.options import CameraOptions
+from tunenet_logs.recorders.camera.rtsp import Reply, RtpPorts, RtspWire
 from tunenet_logs.recorders.camera.sources import open_source
 from tunenet_logs.recorders.camera.streams import MultipartParser
 from tunenet_logs.timing.stamps import MAX_SPEED_CAMERA_HZ, MAX_SPEED_HZ, measured_hz
 
 pytestmark = pytest.mark.live
 
-PART = b"--frame\r\n\r\n"
+STALL_S = 0.5
 EMPTY = b"--frame\r\nContent-Length: 0\r\n\r\n\r\n"
+CONTINUE = b"HTTP/1.1 100 Continue\r\n\r\n"
+MOVED = b"HTTP/1.1 302 Found\r\nLocation: /again\r\n\r\n"
+CHUNKED = STREAM[:-2].replace(b"1.0", b"1.1") + b"Transfer-Encoding: chunked\r\n\r\n"
+
+
+def why_it_ended(url: str) -> str:
+    """Why nothing comes, be it found at opening or at reading."""
+    try:
+        source = open_source(url, CameraOptions(stall_s=STALL_S))
+    except CameraError as error:
+        return str(error)
+    assert not list(source.frames())
+    return source.ended
+
+
+# ---- What drips or has no end: it ends within a limit, with the reason
+
+SLOW, NONE, NO_RTSP = "does not answer within", f"no data for {STALL_S} s", "does not speak RTSP"
+ENDED = f" for {STALL_S} s"  # no data, or no whole picture
+OPENING_S = ("tunenet_logs.recorders.camera.network.OPENING_S", 1.0)
 
 
 @pytest.mark.parametrize(
     ("head", "again", "drips", "says"),
     [
-        (b"HTTP/1.1 200 OK\r\nX: ", b"a", True, "does not answer within"),
-        (b"", CONTINUE, True, "does not answer within"),
-        (b"", CONTINUE * 1000, False, "does not answer within"),
+        (b"HTTP/1.1 200 OK\r\nX: ", b"a", True, SLOW),
+        (b"", CONTINUE, True, SLOW),
+        (b"", CONTINUE * 1000, False, SLOW),
         (b"HTTP/1.1 200 OK\r\n", b"X: y\r\n" * 1000, False, "does not answer as a camera"),
         (MOVED, b"", False, "answers 302"),
         (MOVED, b"z" * 65536, False, "answers 302"),
         (b"HTTP/1.1 302 F\r\nLocation: file:///etc/hosts\r\n\r\n", b"", False, "to file"),
         (b"HTTP/1.1 302 F\r\nLocation: ftp://127.0.0.1/\r\n\r\n", b"", False, "sends on to ftp"),
         (b"HTTP/1.1 302 F\r\nLocation: http://10.0.0.9/\r\n\r\n", b"", False, "sends on to http"),
+        # parts that are no pictures
+        (STREAM, b"-", True, ENDED),
+        (STREAM + PART + b"\xff\xd8", b"x", True, ENDED),
+        (STREAM + b"--frame\r\nX: ", b"x", True, ENDED),
+        (STREAM, EMPTY, True, ENDED),
+        (STREAM, EMPTY * 1000, False, ENDED),
+        (CHUNKED + b"0\r\n", b"T: x\r\n", True, ENDED),
+        (CHUNKED, b"1;" + b"e" * 9000 + b"\r\nx\r\n", False, ENDED),
     ],
 )
-def test_an_opening_has_an_end(
-    monkeypatch: pytest.MonkeyPatch, head: bytes, again: bytes, drips: bool, says: str
-):
-    monkeypatch.setattr("tunenet_logs.recorders.camera.network.OPENING_S", 2.0)
-    with sending(head, again, drips=drips) as url, pytest.raises(CameraError, match=says):
-        open_source(url, CameraOptions(stall_s=2.0))
+def test_an_http_camera_has_an_end(monkeypatch: pytest.MonkeyPatch, head, again, drips, says):
+    if says == SLOW:
+        monkeypatch.setattr(*OPENING_S)
+    with sending(head, again, drips=drips) as url:
+        assert says in why_it_ended(url)
 
 
 @pytest.mark.parametrize(
-    ("head", "again", "drips"),
+    ("replies", "again", "drips", "says"),
     [
-        (OK + b"\r\n", b"-", True),
-        (OK + b"\r\n" + PART + b"\xff\xd8", b"x", True),
-        (OK + b"\r\n" + b"--frame\r\nX: ", b"x", True),
-        (OK + b"\r\n", EMPTY, True),
-        (OK + b"Transfer-Encoding: chunked\r\n\r\n0\r\n", b"T: x\r\n", True),
-        (OK + b"Transfer-Encoding: chunked\r\n\r\n", b"1;" + b"e" * 9000 + b"\r\nx\r\n", False),
-        (OK + b"\r\n", EMPTY * 1000, False),
+        ({"OPTIONS": b"RTSP/1.0 200 OK\r\nX: "}, b"a", True, SLOW),
+        ({"OPTIONS": b""}, b"\r\n", True, SLOW),
+        ({"OPTIONS": b""}, b"\r\n" * 9000, False, SLOW),
+        ({"OPTIONS": b""}, b"$\x00\x00\x00", True, SLOW),
+        ({"OPTIONS": b""}, b"$\x00\xff\xff" + bytes(65535), False, "sends packets and no reply"),
+        ({"OPTIONS": b"RTSP/1.0 200 OK\r\n"}, b"X: y\r\n" * 900, False, NO_RTSP),
+        ({}, b"\r\n", True, NONE),
+        ({}, b"RTSP/1.0 200 OK\r\n\r\n", True, NONE),
+        ({}, b"noise without a packet", True, NONE),
     ],
 )
-def test_parts_that_are_no_pictures_end_it_whatever_drips(head: bytes, again: bytes, drips: bool):
-    with sending(head, again, drips=drips) as url:
-        source = open_source(url, CameraOptions(stall_s=1.0))
-        assert not list(source.frames())
-        assert source.ended in ("no whole picture for 1.0 s", "no data for 1.0 s")
+def test_an_rtsp_camera_has_an_end(monkeypatch: pytest.MonkeyPatch, replies, again, drips, says):
+    monkeypatch.setattr(*OPENING_S)
+    with hostile_rtsp(replies, again, drips=drips) as address:
+        assert says in why_it_ended(f"rtsp://{address}")
 
 
-def test_closing_ends_a_read_that_waits():
-    with sending(OK + b"\r\n" + PART, b"") as url:
-        source = open_source(url, CameraOptions(stall_s=LAST_RESORT_S))
-        reading = threading.Thread(target=lambda: list(source.frames()), daemon=True)
-        reading.start()
-        while not source._is_read:  # type: ignore[attr-defined]
-            pass
-        source.close()
-        reading.join(LAST_RESORT_S / 2)
-        assert not reading.is_alive()
+def moved(place: str) -> bytes:
+    return f"RTSP/1.0 302 Moved\r\nCSeq: 1\r\nLocation: {place}\r\n\r\n".encode()
+
+
+def transport(said: str) -> bytes:
+    return f"RTSP/1.0 200 OK\r\nCSeq: 1\r\nSession: 1\r\nTransport: {said}\r\n\r\n".encode()
+
+
+@pytest.mark.parametrize(
+    ("replies", "says"),
+    [
+        ({"DESCRIBE": moved("rtsp://u:p@10.0.0.9/x?q")}, "sends on to rtsp://10.0.0.9/x; if that"),
+        ({"DESCRIBE": moved("file:///etc/passwd")}, "sends on to file:///etc/passwd, which is no"),
+        ({"DESCRIBE": moved("http://[")}, "sends on to what is no address"),
+        ({"OPTIONS": b"RTSP/1.0 302 M\r\n\r\n"}, "sends on to"),
+        ({"OPTIONS": b"HTTP/1.1 400 Bad Request\r\n\r\n"}, NO_RTSP),
+        ({"OPTIONS": b"RTSP/1.0 200 OK\r\nContent-Length: 99999999\r\n\r\n"}, NO_RTSP),
+        ({"OPTIONS": b"RTSP/1.0 200 OK\r\nContent-Length: -5\r\n\r\n"}, NO_RTSP),
+        ({"OPTIONS": b"RTSP/1.0 200 OK\r\n" + b"X: y\r\n" * 9000}, NO_RTSP),
+        ({"OPTIONS": b"RTSP/1.0 abc\r\n\r\n"}, NO_RTSP),
+        ({"DESCRIBE": b"RTSP/1.0 503 Full\r\n\r\n"}, "answers 503 Full to DESCRIBE"),
+        ({"DESCRIBE": ok("DESCRIBE", "v=0\r\nm=audio 0 RTP/AVP 0\r\n")}, "holds no video"),
+        ({"DESCRIBE": ok("DESCRIBE", SDP.replace("RTP/AVP", "RTP/SAVP"))}, "by RTP/SAVP"),
+        ({"DESCRIBE": b'RTSP/1.0 401 No\r\nWWW-Authenticate: Basic realm="x"\r\n\r\n'}, "password"),
+        ({"SETUP": transport("RTP/AVP;multicast;destination=239.0.0.1")}, "asked for TCP and"),
+        ({"SETUP": transport("RTP/AVP/TCP;multicast")}, "asked for TCP and"),
+        ({"SETUP": b"garbage"}, NO_RTSP),
+        ({"SETUP": b"RTSP/1.0 461 No\r\n\r\n"}, "refuses TCP and UDP"),
+    ],
+)
+def test_each_refusal_of_rtsp_is_one_true_line(replies: dict[str, bytes], says: str):
+    with hostile_rtsp(replies) as address, pytest.raises(CameraError) as error:
+        open_source(f"rtsp://{address}", PATIENT)
+    assert says in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+# ---- Memory and work
+
+
+MATROSKA = bytes.fromhex("1a45dfa39f4286810142f7810142f2810442f381084282886d6174726f736b61")
+MATROSKA += bytes.fromhex("42878104428581021853806701ffffffffffffff1654ae6b080fffffff")
+FLV = (b"FLV\1\1\0\0\0\x09\0\0\0\0", b"\x09\xff\xff\xff" + bytes(7))
+TOO_MUCH = "sends 64 MiB without a picture"
+slow = pytest.mark.slow
+# In a process of at most so many bytes of address space; FFmpeg with its threads needs a third.
+_READS_STDIN = """
+import resource
+resource.setrlimit(resource.RLIMIT_AS, (1_500_000_000,) * 2)
+from tunenet_logs.recorders.camera.sources import open_source
+print(list(open_source('-').frames()))
+"""
+
+
+@pytest.mark.parametrize(
+    ("start", "again", "says"),
+    [
+        (mp4_of_many(80_000_000), b"", "claims 80000000 samples in"),
+        (FILE_TYPE + b"\xff\xff\xff\xffmoov", b"\0", "holds no video"),
+        (MATROSKA, b"a", TOO_MUCH),
+        pytest.param(*FLV, TOO_MUCH, marks=slow),
+        (b"", b"G" + bytes(187), TOO_MUCH),
+        (b"\0\0\0\1\x67\x42", b"\x11", TOO_MUCH),
+        pytest.param(b"\xff\xd8\xff\xe0", b"\x11", TOO_MUCH, marks=slow),
+        (b"--x\r\nContent-Type: image/jpeg\r\n\r\n", b"\xff", "sends a part of more than"),
+    ],
+)
+def test_nothing_is_kept_without_a_bound(start: bytes, again: bytes, says: str):
+    ours, theirs = os.pipe()
+    out: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    recorder = subprocess.Popen([sys.executable, "-c", _READS_STDIN], cwd=ROOT, stdin=ours, **out)
+    os.close(ours)
+    with suppress(BrokenPipeError), os.fdopen(theirs, "wb", buffering=0) as camera:
+        camera.write(start)
+        for _ in range(200 if again else 0):
+            camera.write(again * (1_000_000 // len(again)))
+    said, _ = recorder.communicate(timeout=LAST_RESORT_S)
+    assert says in said.splitlines()[-1]
+    assert "PyAV library exception" not in said
 
 
 @pytest.mark.parametrize(
@@ -107,21 +222,7 @@ def test_work_grows_with_the_bytes_alone(boundary: str, head: bytes, again: byte
     assert seconds(4_000_000) < 16 * seconds(1_000_000) + 0.2  # a square would be 16 times
 
 
-@pytest.mark.parametrize("scheme", ["http", "rtsp", "https", "rtsps"])
-def test_ctrl_c_while_a_camera_is_opened(tmp_path: Path, scheme: str):
-    with serving_each(silent) as place:
-        words = [BIN / "tunenet-record", "--camera", f"{scheme}://{place}/video"]
-        process = subprocess.Popen(
-            [*words, "--stall", "600"],
-            cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        with ending(process):
-            wait_for_thread(process)
-            process.send_signal(signal.SIGINT)
-            _, err = process.communicate(timeout=LAST_RESORT_S)
-    assert process.returncode == 130
-    assert err == "tunenet-record: interrupted\n"
-    assert not list(tmp_path.iterdir())
+# ---- Ends that a user brings about
 
 
 def silent(_caller: socket.socket, ended: threading.Event) -> None:
@@ -129,15 +230,49 @@ def silent(_caller: socket.socket, ended: threading.Event) -> None:
     ended.wait(LAST_RESORT_S)
 
 
-def wait_for_thread(process: subprocess.Popen[str]) -> None:
-    """Until a process has two threads: one waits, the other opens."""
-    tasks = Path(f"/proc/{process.pid}/task")
+@pytest.mark.parametrize("scheme", ["http", "rtsp", "https", "rtsps", "-"])
+def test_ctrl_c_while_a_camera_is_opened(tmp_path: Path, scheme: str):
+    pipe = subprocess.PIPE
+    with serving_each(silent) as place:
+        address = "-" if scheme == "-" else f"{scheme}://{place}/video"
+        words = [BIN / "tunenet-record", "--camera", address, "--stall", "600"]
+        process = subprocess.Popen(
+            words, cwd=tmp_path, stdin=pipe, stdout=pipe, stderr=pipe, text=True
+        )
+        tasks = Path(f"/proc/{process.pid}/task")
+        with ending(process):
+            wait_until(lambda: len(list(tasks.iterdir())) > 1, "the thread that opens the camera")
+            process.send_signal(signal.SIGINT)
+            _, err = process.communicate(timeout=LAST_RESORT_S)
+    assert (process.returncode, err) == (130, "tunenet-record: interrupted\n")
+    assert not list(tmp_path.iterdir())
 
-    def opens() -> bool:
-        assert process.poll() is None, process.communicate()
-        return len(list(tasks.iterdir())) > 1
 
-    wait_until(opens, "the thread that opens the camera")
+def held_rtsp() -> AbstractContextManager[str]:
+    return rtsp_camera([numbered(number) for number in range(20)], 50, stall=True)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "serve", "shots"),
+    [
+        ("", lambda: sending(STREAM + PART, drips=True), 0),
+        ("", lambda: sending(http(film("mpegts")), drips=True), 1),
+        ("rtsp://", held_rtsp, 0),
+    ],
+    ids=["parts", "a film", "rtsp"],
+)
+def test_closing_ends_a_read_that_waits(scheme: str, serve, shots: int):
+    with serve() as place:
+        source = open_source(scheme + place, PATIENT)
+        frames = source.frames()
+        assert len(list(islice(frames, shots))) == shots
+        reading = threading.Thread(target=lambda: list(frames), daemon=True)
+        reading.start()
+        while not getattr(source, "_is_read", True):
+            pass
+        source.close()
+        reading.join(LAST_RESORT_S / 2)
+        assert not reading.is_alive()
 
 
 def test_what_opens_too_late_is_closed():
@@ -153,11 +288,13 @@ def test_what_opens_too_late_is_closed():
     assert late.closed.wait(LAST_RESORT_S)
 
 
+# ---- True figures, and packets of the camera alone
+
+
 def test_a_burst_has_a_true_rate_or_none():
     second = 1_000_000_000
-    assert measured_hz([5, 6, 7, 8], MAX_SPEED_CAMERA_HZ) == 0
-    assert measured_hz([0, 60_000, 130_000], MAX_SPEED_CAMERA_HZ) == 0
-    assert measured_hz([], MAX_SPEED_CAMERA_HZ) == measured_hz([3], MAX_SPEED_CAMERA_HZ) == 0
+    for stamps_ns in ([5, 6, 7, 8], [0, 60_000, 130_000], [], [3]):
+        assert measured_hz(stamps_ns, MAX_SPEED_CAMERA_HZ) == 0
     bursts = [at * second // 20 + extra for at in range(40) for extra in (0, 1, 2)]
     assert measured_hz(bursts, MAX_SPEED_CAMERA_HZ) == pytest.approx(60, rel=0.05)
     paused = [at * second // 60 + (at > 50) * 9 * second for at in range(120)]
@@ -165,9 +302,86 @@ def test_a_burst_has_a_true_rate_or_none():
     assert measured_hz([at * 100_000 for at in range(50)], MAX_SPEED_HZ) == pytest.approx(10_000)
 
 
-def test_a_whole_picture_after_much_else_counts(tmp_path: Path, command: Command):
-    stream = OK + b"\r\n" + EMPTY * 3 + PART + picture(1) + b"\r\n--frame--\r\n"
-    with sending(stream, b"") as url:
-        result = command("tunenet-record", "--camera", url, "-o", "a.mcap", cwd=tmp_path)
+def test_a_whole_picture_after_much_else_counts(record: Record):
+    with sending(STREAM + EMPTY * 3 + PART + picture(1) + b"\r\n--frame--\r\n") as url:
+        result = record("--camera", url, "-o", "a.mcap")
     assert result.returncode == 0
     assert "1 frames captured, 1 written, 0 dropped, 3 damaged" in result.stdout
+
+
+def datagrams(host: str = "127.0.0.1") -> closing[socket.socket]:
+    one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    one.bind((host, 0))
+    return closing(one)
+
+
+def test_nothing_is_sent_to_the_source_that_a_camera_names():
+    with datagrams() as named, closing(socket.socket(type=socket.SOCK_DGRAM)) as elsewhere:
+        port = named.getsockname()[1]
+        elsewhere.bind(("127.0.0.2", port))
+        said = f"RTP/AVP;unicast;source=127.0.0.2;destination=127.0.0.2;server_port={port}-{port}"
+        setups = iter([b"RTSP/1.0 461 No\r\n\r\n", transport(said)])
+
+        class Replies(dict[str, bytes]):
+            def __getitem__(self, method: str) -> bytes:
+                return next(setups) if method == "SETUP" else ok(method)
+
+        with hostile_rtsp(Replies(SETUP=b"")) as address:
+            assert f"no data for {STALL_S} s over UDP" in why_it_ended(f"rtsp://{address}")
+        assert named.recv(100)
+        elsewhere.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            elsewhere.recv(100)
+
+
+def packet(number: int) -> bytes:
+    return struct.pack(">BBHII", 0x80, 96, number, 0, 1)
+
+
+def test_packets_are_taken_from_the_camera_alone_and_counted():
+    with (
+        closing(socket.create_server(("127.0.0.1", 0))) as camera,
+        closing(socket.create_connection(camera.getsockname())) as control,
+        closing(RtpPorts(control)) as ports,
+        datagrams() as friend,
+        datagrams("127.0.0.2") as stranger,
+    ):
+        place = ("127.0.0.1", ports.numbers[0])
+        stranger.sendto(packet(0), place)
+        for data in (b"", b"short", packet(65534), packet(65535), packet(2), packet(1)):
+            friend.sendto(data, place)
+        came: list[bytes] = []
+
+        def has_all() -> bool:
+            came.extend(bytes(one) for _channel, one in ports.packets())
+            return len(came) >= 4
+
+        wait_until(has_all, "four packets")
+        assert came == [packet(65534), packet(65535), packet(2), packet(1)]
+        assert ports.lost == 1
+
+
+@pytest.mark.parametrize(
+    "noise", [b"$\x00\xff\xff" + b"x" * 9, b"noise", b"\r\nRTSP/1.0 x\r\n\r\n"]
+)
+@pytest.mark.parametrize("size", [1, 7, 100_000])
+def test_noise_between_packets_costs_no_more_than_it_covers(noise: bytes, size: int):
+    one = b"$\x00\x00\x0c" + packet(1)
+    sent = one * 10 + noise + one * 20_000
+    ours, theirs = socket.socketpair()
+
+    def send_in_pieces() -> None:
+        for at in range(0, 400, size):
+            theirs.sendall(sent[at : min(at + size, 400)])
+        theirs.sendall(sent[400:])
+        theirs.shutdown(socket.SHUT_WR)
+
+    with closing(ours), closing(theirs):
+        threading.Thread(target=send_in_pieces, daemon=True).start()
+        wire, came = RtspWire(ours), bytearray()
+        while wire.fill():
+            while (some := wire.take(is_playing=True)) is not None:
+                assert not isinstance(some, Reply)
+                came += some
+    assert came.startswith(one * 10)
+    assert came.endswith(one * 10_000)

@@ -1,10 +1,13 @@
-"""Several live streams in one log: nothing lost, whatever ends the recording."""
+"""Several streams in one log: nothing lost, whatever ends the recording; and their queue."""
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +31,10 @@ from tunenet_logs import messages
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.reader import read_episode
-from tunenet_logs.recorders.session import LiveRecording, TopicQueue
+from tunenet_logs.recorders.session import LiveRecording, TopicQueue, record_episode
+from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
+from tunenet_logs.terminal import Bar
+from tunenet_logs.terminal import Progress as Bars
 from tunenet_logs.timing.stamps import now_ns
 
 pytestmark = pytest.mark.live
@@ -157,31 +163,87 @@ def test_what_comes_too_fast_is_dropped_and_counted_by_topic(tmp_path: Path):
     assert sum(one.messages for one in found.values()) == summary.written == counts["written"]
 
 
+def test_a_recording_that_is_discarded_leaves_nothing(tmp_path: Path):
+    recording = LiveRecording(tmp_path / "a.mcap", INFO)
+    recording.put_joints(JOINTS, 7, NAMES, *joints_of(0))
+    recording.discard()
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_a_recorder_counts_is_in_the_log(tmp_path: Path):
+    with LiveRecording(tmp_path / "a.mcap", INFO) as recording:
+        recording.put_joints(JOINTS, 7, NAMES, *joints_of(0))
+        recording.count(f"gaps.{JOINTS}", 3)
+    assert read_episode(tmp_path / "a.mcap").info.counts[f"gaps.{JOINTS}"] == 3
+
+
+# ---- What is simulated
+
+
+class StopsAfter(Bars):
+    """Sends a real signal to this process after so many samples."""
+
+    def __init__(self, samples: int) -> None:
+        super().__init__(quiet=True)
+        self.left = samples
+
+    @contextmanager
+    def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:
+        yield self
+
+    def set_postfix_str(self, text: str, /, *, refresh: bool) -> None:
+        pass
+
+    def update(self, done: int, /) -> None:
+        self.left -= done
+        if self.left == 0:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+
+def test_a_signal_ends_the_recording_of_a_simulation_whole(tmp_path: Path):
+    path, before = tmp_path / "a.mcap", signal.getsignal(signal.SIGTERM)
+    episode = simulate_drop(DropOrder(seed=1))
+    summary = record_episode(episode, path, overwrite=False, progress=StopsAfter(100))
+    back = read_episode(path)
+    assert summary.captured == summary.written == back.info.counts["written"] == 100
+    assert len(back.signals["/ball/pose"].values) == 100
+    assert summary.ended
+    assert "signal" in back.info.notes["ended"]
+    assert not back.warnings
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+# ---- The queue between a source and the writer
+
+
+def taken(queue: TopicQueue) -> list:
+    return list(iter(queue.take, None))
+
+
 def test_a_queue_is_bounded_in_bytes_over_all_topics():
     queue: TopicQueue[str] = TopicQueue(100, drops=True)
-    assert all(queue.put("/a", index, "x", 40) for index in range(3))
-    assert queue.put("/b", 5, "y", 20)
+    for topic, stamp_ns, size in (("/a", 0, 40), ("/a", 1, 40), ("/a", 2, 40), ("/b", 5, 20)):
+        assert queue.put(topic, stamp_ns, "x", size)
     assert queue.put("/b", 6, "y", 1)
     assert (queue.tally("/a").captured, queue.tally("/a").dropped) == (3, 1)
     assert (queue.tally("/b").captured, queue.tally("/b").dropped) == (2, 1)
     queue.close()
     assert not queue.put("/a", 9, "x", 1)
-    items = []
-    while (item := queue.take()) is not None:
-        items.append((item.topic, item.stamp_ns))
-    assert items == [("/a", 0), ("/a", 1), ("/b", 5)]
+    assert [(item.topic, item.stamp_ns) for item in taken(queue)] == [
+        ("/a", 0),
+        ("/a", 1),
+        ("/b", 5),
+    ]
     assert queue.is_done
     assert (queue.captured, queue.dropped) == (5, 2)
-
-
-def test_a_message_larger_than_the_bound_passes_alone():
-    queue: TopicQueue[str] = TopicQueue(100, drops=True)
+    queue = TopicQueue(100, drops=True)  # a message larger than the bound passes alone
     queue.put("/a", 0, "large", 1000)
     queue.put("/a", 1, "small", 1)
-    assert queue.dropped == 1
-    item = queue.take()
-    assert item is not None
-    assert item.payload == "large"
+    assert (queue.dropped, [item.payload for item in taken(queue)]) == (1, ["large"])
+    queue = TopicQueue(1000, drops=True)  # receipts never run backwards
+    for number, received_ns in enumerate((5, 3, 9)):
+        queue.put("/a", number, "x", 1, received_ns)
+    assert [item.received_ns for item in taken(queue)] == [5, 5, 9]
 
 
 def test_a_queue_that_must_not_drop_makes_the_source_wait():
@@ -203,19 +265,4 @@ def test_a_queue_that_must_not_drop_makes_the_source_wait():
             seen.append(item.payload)
             assert queue.captured <= len(seen) + 1  # the next one, at most, waits inside
     thread.join()
-    assert seen == list(range(10))
-    assert queue.dropped == 0
-
-
-def test_a_recording_that_is_discarded_leaves_nothing(tmp_path: Path):
-    recording = LiveRecording(tmp_path / "a.mcap", INFO)
-    recording.put_joints(JOINTS, 7, NAMES, *joints_of(0))
-    recording.discard()
-    assert not list(tmp_path.iterdir())
-
-
-def test_what_a_recorder_counts_is_in_the_log(tmp_path: Path):
-    with LiveRecording(tmp_path / "a.mcap", INFO) as recording:
-        recording.put_joints(JOINTS, 7, NAMES, *joints_of(0))
-        recording.count(f"gaps.{JOINTS}", 3)
-    assert read_episode(tmp_path / "a.mcap").info.counts[f"gaps.{JOINTS}"] == 3
+    assert (seen, queue.dropped) == (list(range(10)), 0)

@@ -8,20 +8,20 @@ import socket
 import subprocess
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.conftest import BIN, Command
+from tests.conftest import BIN
 from tests.pages import Page, assert_for_this_machine_alone
+from tests.recorders.films import PATIENT, numbers
 from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
-from tests.recorders.mjpeg_camera import number_in, picture, playing
+from tests.recorders.mjpeg_camera import picture, playing
 from tunenet_logs.episode import Frame
 from tunenet_logs.reader import read_episode
-from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.sources import open_source
 from tunenet_logs.recorders.local_page import Preview
 from tunenet_logs.timing.stamps import now_ns
@@ -50,15 +50,18 @@ class PreviewPage(Page):
         wait_until(lambda: self.state()["frames"] >= frames, f"{frames} frames on the page")
         return self.state()
 
+    def end(self) -> tuple[str, str]:
+        """What the recorder said, at its end."""
+        return self.process.communicate(timeout=LAST_RESORT_S)
+
 
 @contextmanager
 def previewing(folder: Path) -> Iterator[PreviewPage]:
     with playing(frames=100_000, rate_hz=100.0, distinct=DISTINCT) as address:
         words = [BIN / "tunenet-record", "--camera", f"http://{address}", "--preview"]
-        process = subprocess.Popen(
-            [*words, "--stall", str(LAST_RESORT_S), "-o", "a.mcap"],
-            cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+        words += ["--stall", str(LAST_RESORT_S), "-o", "a.mcap"]
+        pipe = subprocess.PIPE
+        process = subprocess.Popen(words, cwd=folder, stdout=pipe, stderr=pipe, text=True)
         with ending(process):
             yield PreviewPage(process)
 
@@ -89,58 +92,47 @@ def test_from_aiming_to_a_log(tmp_path: Path):
         wait_until(lambda: page.state()["is_recording"], "the page records")
         page.wait(page.state()["frames"] + 30)
         assert page.ask("POST", "/stop")[0] == 204
-        out, err = page.process.communicate(timeout=LAST_RESORT_S)
+        out, err = page.end()
     assert page.process.returncode == 0, err
     assert "stopped on the page" in out
     episode = read_episode(tmp_path / "a.mcap")
-    numbers = [number_in(frame.decode()) for frame in episode.frames()]
-    assert numbers == [(numbers[0] + index) % DISTINCT for index in range(len(numbers))]
-    counts = episode.info.counts
-    assert counts["captured"] == counts["written"] == len(numbers) > 10
-    assert episode.info.notes["ball_at_px"] == "100.2,60.0"
-    clicked_ns = int(episode.info.notes["ball_at_stamp_ns"])  # of the newest frame then
+    seen, info = numbers(episode), episode.info
+    assert seen == [(seen[0] + index) % DISTINCT for index in range(len(seen))]
+    assert info.counts["captured"] == info.counts["written"] == len(seen) > 10
+    assert info.notes["ball_at_px"] == "100.2,60.0"
+    clicked_ns = int(info.notes["ball_at_stamp_ns"])  # of the newest frame then
     first_ns = next(episode.frames()).stamp_ns
     assert started_ns < clicked_ns < first_ns  # nothing from before the button was pressed
 
 
-def test_figures_are_there_from_the_first_frame_on():
-    preview = Preview()
-    try:
+@pytest.mark.parametrize(
+    ("stamps_ns", "rate_hz"),
+    [
+        ([5, 6, 7], 0),  # three frames that arrived in one read: of such a burst nothing is known
+        (np.cumsum([100_000_000] * 60 + [16_666_667] * 60).tolist(), 60.0),
+    ],
+)
+def test_the_rate_is_that_of_the_latest_frames(stamps_ns: list[int], rate_hz: float):
+    with closing(Preview()) as preview:
         assert preview.state()["rate_hz"] == 0
-        for stamp_ns in (5, 6, 7):  # three frames that arrived in one read
+        for stamp_ns in stamps_ns:
             preview.show(Frame(stamp_ns, "jpeg", picture(1)), 0)
             assert preview.state()["size_px"] == [320, 240]
-        assert preview.state()["rate_hz"] == 0  # of such a burst nothing is known
-    finally:
-        preview.close()
-
-
-def test_the_rate_is_that_of_the_latest_frames():
-    preview = Preview()
-    try:
-        periods_ns = [100_000_000] * 60 + [16_666_667] * 60
-        for stamp_ns in np.cumsum(periods_ns).tolist():
-            preview.show(Frame(stamp_ns, "jpeg", picture(1)), 0)
-        assert preview.state()["rate_hz"] == 60.0
-    finally:
-        preview.close()
+        assert preview.state()["rate_hz"] == rate_hz
 
 
 def test_a_slow_viewer_sees_the_newest_picture():
-    preview = Preview()
-    try:
+    with closing(Preview()) as preview:
         preview.show(Frame(1, "jpeg", b"first"), 0)
         seen = preview.pictures()
         assert next(seen) == b"first"
         for stamp_ns, data in ((2, b"missed"), (3, b"newest")):
             preview.show(Frame(stamp_ns, "jpeg", data), 0)
         assert next(seen) == b"newest"
-    finally:
-        preview.close()
 
 
 def test_the_picture_is_the_cameras_own(page: PreviewPage):
-    source = open_source(page.url + "live", CameraOptions(stall_s=LAST_RESORT_S))
+    source = open_source(page.url + "live", PATIENT)
     shown = [shot.frame for shot, _ in zip(source.frames(), range(10), strict=False)]
     source.close()
     assert {frame.data for frame in shown} <= {picture(number) for number in range(DISTINCT)}
@@ -154,6 +146,12 @@ def test_it_is_for_this_machine_alone(page: PreviewPage):
     refused = (("GET", "/"), ("GET", "/live"), ("POST", "/record"))
     assert_for_this_machine_alone(page, refused)
     assert not page.state()["is_recording"]
+    nothing = (("GET", "/../cli.py"), ("GET", "/nix"), ("POST", "/"), ("POST", "/nix"))
+    assert {page.ask(*each)[0] for each in nothing} <= {400, 404}
+    with closing(Preview()) as one, closing(Preview()) as other:  # it cannot be guessed
+        secrets = {Page(each.url).secret for each in (one, other)}
+    assert len(secrets) == 2
+    assert all(len(secret) >= 20 for secret in secrets)
 
 
 @pytest.mark.parametrize(
@@ -168,67 +166,8 @@ def test_a_click_that_is_none_is_refused(page: PreviewPage, body: str):
     assert page.state()["ball_at_px"] is None
 
 
-@pytest.mark.parametrize(
-    ("method", "path"), [("GET", "/../cli.py"), ("GET", "/nix"), ("POST", "/"), ("POST", "/nix")]
-)
-def test_there_is_nothing_else_on_it(page: PreviewPage, method: str, path: str):
-    assert page.ask(method, path)[0] in (400, 404)
-
-
 def test_stopped_before_recording_it_leaves_no_log(tmp_path: Path):
-    with previewing(tmp_path) as page:
-        page.wait(5)
-        page.ask("POST", "/stop")
-        _, err = page.process.communicate(timeout=LAST_RESORT_S)
-    assert page.process.returncode == 1
-    assert err.count("\n") == 1
-    assert "before a frame was recorded" in err
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_file_has_none(command: Command, tmp_path: Path):
-    from tests.recorders.test_video_file import write_video
-
-    video = write_video(tmp_path / "a.mp4", [0, 10, 20])
-    result = command("tunenet-record", "--camera", video, "--preview", cwd=tmp_path)
-    assert result.returncode == 2
-    assert result.stderr.count("\n") == 1
-    assert [one.name for one in tmp_path.iterdir()] == ["a.mp4"]
-
-
-@pytest.mark.slow
-def test_a_request_that_drips_and_too_many_of_them_are_ended(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("tunenet_logs.recorders.local_page._MAX_REQUEST_S", 1.0)
-    preview = Preview()
-    page = Page(preview.url)
-    host, port = page.host.split(":")
-    try:
-        with ExitStack() as callers:
-            dripping = [
-                callers.enter_context(socket.create_connection((host, int(port)), LAST_RESORT_S))
-                for _ in range(40)
-            ]
-            ended = threading.Event()
-            threading.Thread(target=drip, args=(dripping, ended), daemon=True).start()
-            for caller in dripping:
-                caller.settimeout(LAST_RESORT_S)
-                with suppress(ConnectionError):
-                    assert caller.recv(1) == b""  # it hung up, though something came all the time
-            ended.set()
-        assert page.ask("GET", "/state")[0] == 200
-    finally:
-        preview.close()
-
-
-def drip(callers: list[socket.socket], ended: threading.Event) -> None:
-    """Send a header byte by byte to all of them."""
-    while not ended.wait(0.05):
-        for caller in callers:
-            with suppress(OSError):
-                caller.send(b"G")
-
-
-def test_a_viewer_that_takes_nothing_does_not_hold_up_the_end(tmp_path: Path):
+    """Though a viewer takes nothing: that does not hold up the end."""
     with previewing(tmp_path) as page:
         page.wait(5)
         host, port = page.host.split(":")
@@ -236,16 +175,38 @@ def test_a_viewer_that_takes_nothing_does_not_hold_up_the_end(tmp_path: Path):
             viewer.sendall(f"GET {page.secret}/live HTTP/1.0\r\nHost: {page.host}\r\n\r\n".encode())
             page.wait(page.state()["frames"] + 50)
             page.process.send_signal(signal.SIGINT)
-            page.process.communicate(timeout=LAST_RESORT_S)
-    assert page.process.returncode == 1  # before a frame was recorded
+            page.end()
+    assert page.process.returncode == 1
+    with previewing(tmp_path) as page:
+        page.wait(5)
+        page.ask("POST", "/stop")
+        _, err = page.end()
+    assert (page.process.returncode, err.count("\n")) == (1, 1)
+    assert "before a frame was recorded" in err
+    assert not list(tmp_path.iterdir())
 
 
-def test_addresses_cannot_be_guessed():
-    pages = [Preview(), Preview()]
-    try:
-        secrets = [Page(page.url).secret for page in pages]
-        assert secrets[0] != secrets[1]
-        assert all(len(secret) >= 20 for secret in secrets)
-    finally:
-        for page in pages:
-            page.close()
+@pytest.mark.slow
+def test_a_request_that_drips_and_too_many_of_them_are_ended(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("tunenet_logs.recorders.local_page._MAX_REQUEST_S", 1.0)
+    with closing(Preview()) as preview, ExitStack() as callers:
+        page, ended = Page(preview.url), threading.Event()
+        host, port = page.host.split(":")
+        dripping = [
+            callers.enter_context(socket.create_connection((host, int(port)), LAST_RESORT_S))
+            for _ in range(40)
+        ]
+
+        def drip() -> None:
+            """Send a header byte by byte to all of them."""
+            while not ended.wait(0.05):
+                for caller in dripping:
+                    with suppress(OSError):
+                        caller.send(b"G")
+
+        threading.Thread(target=drip, daemon=True).start()
+        for caller in dripping:
+            with suppress(ConnectionError):
+                assert caller.recv(1) == b""  # it hung up, though something came all the time
+        ended.set()
+        assert page.ask("GET", "/state")[0] == 200

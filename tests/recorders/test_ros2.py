@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 import re
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,28 +17,33 @@ from mcap.reader import make_reader
 
 pytest.importorskip("cyclonedds", reason="needs the extra ros2")
 
-from tests.conftest import Command
-from tests.recorders.live_wait import LAST_RESORT_S, wait_until
+from tests.recorders.conftest import Record, Refuses
+from tests.recorders.live_wait import LAST_RESORT_S, Terminal, wait_until
 from tests.recorders.ros2_publisher import (
     NAMES,
     STATES,
     TORQUES,
+    ended,
     expect,
+    free_domain,
     go_on,
     publishing,
+    recorder,
     values_of,
 )
-from tests.recorders.ros2_recorder import ended, free_domain, recorder
 from tunenet_logs import messages
 from tunenet_logs.episode import Episode
+from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
-from tunenet_logs.recorders.ros2 import graph as subscription
+from tunenet_logs.recorders.ros2 import checked_topic, dds_topic, graph, ros_topic, ros_type
 from tunenet_logs.recorders.ros2.graph import Node, take_decoded, take_raw
+from tunenet_logs.recorders.ros2.recording import Pace
 
 pytestmark = pytest.mark.live
 slow = pytest.mark.slow
 
 _CLOCK_NS = 10_000_000  # what a wall clock may be set by while a test runs
+ALL_NAMES = ("--joint-names", ",".join(NAMES))
 
 
 @pytest.fixture
@@ -49,14 +53,18 @@ def domain() -> Iterator[int]:
         yield number
 
 
-def check_states(episode: Episode, first_ns: int, count: int, rate_hz: float = 1000.0) -> None:
-    """Check that the log holds the messages 0 to count - 1, each with its stamp and values."""
+def check_states(
+    episode: Episode, first_ns: int, count: int, rate_hz: float, topic: str = STATES, first: int = 0
+) -> None:
+    """Check that a topic has that many messages from one on, each with its stamp and values."""
     stamps_ns = first_ns + np.round(np.arange(count) * 1e9 / rate_hz).astype(np.int64)
     for part, label in enumerate(("position", "velocity", "effort")):
-        one = episode.signals[f"{STATES}.{label}"]
+        one = episode.signals[f"{topic}.{label}"]
         assert one.columns == NAMES
         assert np.array_equal(one.stamps_ns, stamps_ns)
-        assert np.array_equal(one.values, [values_of(number)[part] for number in range(count)])
+        wanted = [values_of(number)[part] for number in range(first, first + count)]
+        assert np.array_equal(one.values, wanted)
+    assert episode.info.counts[f"received.{topic}"] == count
 
 
 @dataclass(frozen=True)
@@ -93,20 +101,18 @@ def stopped(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 def test_a_recorder_that_is_stopped_twice_has_every_message(stopped: Stopped):
     episode = read_episode(stopped.log)
-    check_states(episode, stopped.first_ns, 1000)
+    check_states(episode, stopped.first_ns, 1000, 1000.0)
     assert not episode.warnings
     assert not stopped.trouble
     assert "1000 messages captured, 1000 written, 0 dropped" in stopped.said
     assert (episode.info.kind, episode.info.source) == ("payload", f"ros2 {STATES}")
-    assert episode.info.counts[f"received.{STATES}"] == 1000
     assert episode.info.counts[f"lost.{STATES}"] == 0
     assert episode.info.notes["ended"] == "stopped by a signal"
 
 
 def test_messages_go_in_as_they_came_with_the_times_of_sending_and_receipt(stopped: Stopped):
     with stopped.log.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        found = list(reader.iter_messages())
+        found = list(make_reader(file, validate_crcs=True).iter_messages())
     store = messages.typestore()
     before_ns = 0
     for number, (schema, channel, message) in enumerate(found):
@@ -124,30 +130,27 @@ def test_messages_go_in_as_they_came_with_the_times_of_sending_and_receipt(stopp
 
 
 @pytest.mark.parametrize("multicast", [pytest.param(True, marks=slow), False])
-def test_a_best_effort_publisher_that_is_killed_leaves_what_came(
-    domain: int, tmp_path: Path, multicast: bool
-):
+def test_a_best_effort_publisher_that_is_killed_leaves_what_came(domain, tmp_path: Path, multicast):
     plan = {"messages": 100, "reliable": False, "multicast": multicast}
     with (
         publishing(domain, topics={STATES: "states"}, **plan) as publisher,
-        recorder(domain, tmp_path, "--joint-states", STATES, "--timeout", 2) as process,
+        recorder(domain, tmp_path, "--joint-states", STATES, "--timeout", 1) as process,
     ):
         expect(publisher, "matched")
         first_ns = int(expect(publisher, "sent")[0])
         publisher.kill()
         said, trouble = ended(process)
-    check_states(read_episode(tmp_path / "a.mcap"), first_ns, 100)
+    check_states(read_episode(tmp_path / "a.mcap"), first_ns, 100, 1000.0)
     assert "100 written" in said
     silent = re.search(rf"no message on {STATES} for ([\d.]+) s", said)
     assert silent is not None
-    assert float(silent.group(1)) >= 2.0
+    assert float(silent.group(1)) >= 1.0
     assert not trouble
 
 
 def test_positions_and_torques_apart_as_kinovas_driver_publishes_them(domain: int, tmp_path: Path):
     topics = {STATES: "states", TORQUES: "angles"}
-    options = ["--joint-states", STATES, "--joint-states", TORQUES]
-    options += ["--joint-names", ",".join(NAMES)]
+    options = ["--joint-states", STATES, "--joint-states", TORQUES, *ALL_NAMES]
     with (
         publishing(domain, topics=topics, messages=50, rate_hz=200.0) as publisher,
         recorder(domain, tmp_path, *options) as process,
@@ -160,21 +163,15 @@ def test_positions_and_torques_apart_as_kinovas_driver_publishes_them(domain: in
     episode = read_episode(tmp_path / "a.mcap")
     check_states(episode, first_ns, 50, 200.0)
     torques = episode.signals[f"{TORQUES}.effort"]
-    assert torques.columns == NAMES
-    assert torques.unit == "N·m"
+    assert (torques.columns, torques.unit) == (NAMES, "N·m")
     assert np.array_equal(torques.values, [values_of(number)[2] for number in range(50)])
     late_ns = torques.stamps_ns - episode.signals[f"{STATES}.effort"].stamps_ns
     assert np.all(late_ns > -_CLOCK_NS)
-    counts = episode.info.counts
-    assert [counts[f"received.{one}"] for one in topics] == [50, 50]
+    assert episode.info.counts[f"received.{TORQUES}"] == 50
 
 
-@pytest.mark.parametrize(
-    "names", [pytest.param([], marks=slow), ["--joint-names", ",".join(NAMES)]]
-)
-def test_a_gripper_that_comes_before_the_arm_is_not_judged_for_it(
-    domain: int, tmp_path: Path, names: list[str]
-):
+@pytest.mark.parametrize("names", [pytest.param((), marks=slow), ALL_NAMES])
+def test_a_gripper_that_comes_before_the_arm_is_not_judged_for_it(domain, tmp_path: Path, names):
     topics = {STATES: "gripper states"}
     with (
         publishing(domain, topics=topics, messages=40, rate_hz=200.0) as publisher,
@@ -197,16 +194,6 @@ def test_a_signal_before_anything_is_published_ends_it_without_a_log(domain: int
     assert not list(tmp_path.iterdir())
 
 
-def test_a_log_that_exists_stays(command: Command, tmp_path: Path):
-    (tmp_path / "a.mcap").write_bytes(b"mine")
-    result = command(
-        "tunenet-record", "--loopback", "--joint-states", STATES, "-o", "a.mcap", cwd=tmp_path
-    )
-    assert result.returncode == 1
-    assert "a.mcap: exists" in result.stderr
-    assert (tmp_path / "a.mcap").read_bytes() == b"mine"
-
-
 def test_raw_bytes_are_what_decoding_and_encoding_gives(domain: int):
     node = Node(domain, is_loopback=True)
     plan = {"messages": 20, "listeners": 2}
@@ -217,57 +204,139 @@ def test_raw_bytes_are_what_decoding_and_encoding_gives(domain: int):
         expect(publisher, "sent")
         as_they_came = [(data, info.source_timestamp) for data, info in take_raw(raw._reader)]
         again = [(data, info.source_timestamp) for data, info in take_decoded(decoded._reader)]
-    assert subscription._PRIVATE_TAKE is not None
+    assert graph._PRIVATE_TAKE is not None
     assert len(again) == 20
     assert as_they_came == again
 
 
+# ---- In a domain where much is published all the time
+
+ANGLES = "/arm/out/joint_angles"
+# What is published, kinds by topic.
+CROWD = {
+    "/other": "states",
+    "/nameless": "nameless",
+    "/new": "xcdr2",
+    "/text": "text",
+    ANGLES: "angles",
+}
+_RATE_HZ = 100
+
+
+@pytest.fixture(scope="module")
+def crowd() -> Iterator[int]:
+    """A domain in which much is published, all of which this process knows already."""
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        free_domain() as number,
+        publishing(number, topics=CROWD, rate_hz=_RATE_HZ, eager=True, longest_s=1200),
+    ):
+        patch.delenv("ROS_LOCALHOST_ONLY", raising=False)  # this process is there already
+        node = Node(number, is_loopback=True)
+        found = node.wait_for(CROWD, LAST_RESORT_S, lambda: False)
+        assert found.keys() >= CROWD.keys()
+        yield number
+
+
 @pytest.mark.parametrize(
-    ("words", "names"),
+    ("topic", "options", "says"),
     [
-        (["--joint-states", "joint states"], "'joint states'"),
-        (["--joint-states", ","], "0 topics"),
-        (["--joint-states", "a", "--domain", "233"], "'233'"),
-        (["--joint-states", "a", "--timeout", "0"], "'0'"),
-        (["--joint-states", "a", "--joint-names", "a,,b"], "--joint-names"),
-        (["--joint-states", "a", "--joint-names", "a,a"], "twice"),
-        (["--joint-states", "a", "--rate", "50"], "--rate"),
-        (["--joint-states", "a", "--ball", "red"], "--ball"),
-        (["--joint-states", "a", "--height", "1"], "--height"),
-        (["--joint-states", "a", "--simulate", "drop"], "--simulate"),
-        (["--simulate", "drop", "--domain", "3"], "--domain"),
-        (["--camera", "a.mp4", "--loopback"], "--loopback"),
+        ("/other", (), ""),
+        ("/nameless", ALL_NAMES, ""),  # messages without names get those that were told
+        (ANGLES, (), f"no torques (effort) in {ANGLES}"),
     ],
 )
-def test_options_that_make_no_sense_are_one_line(
-    command: Command, tmp_path: Path, words: list[str], names: str
+def test_it_ends_after_so_many_seconds(record: Record, crowd, tmp_path: Path, topic, options, says):
+    words = ("--domain", crowd, "-o", "a.mcap", "--seconds", 0.3, "--timeout", LAST_RESORT_S)
+    result = record(*words, "--joint-states", topic.removeprefix("/"), *options)
+    assert result.returncode == 0, result.stderr
+    assert says in result.stderr
+    assert result.stderr.count("\n") == bool(says)
+    if says:
+        return
+    episode = read_episode(tmp_path / "a.mcap")
+    position = episode.signals[f"{topic}.position"]
+    first, count = round(float(position.values[0, 0]) * 1024), len(position.values)
+    check_states(episode, int(position.stamps_ns[0]), count, _RATE_HZ, topic, first)
+    assert episode.info.counts["captured"] == episode.info.counts["written"] == count
+    assert "ended" not in episode.info.notes
+
+
+def test_a_terminal_shows_rate_gaps_and_losses(crowd: int, tmp_path: Path):
+    with (
+        closing(Terminal()) as terminal,
+        recorder(crowd, tmp_path, "--joint-states", "/other", stderr=terminal.theirs) as process,
+    ):
+        terminal.wait_for(r"recording: \d+message .*/other [\d.]+ Hz, (no|\d+) gap.*, 0 lost")
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=LAST_RESORT_S)
+    assert process.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("topic", "options", "says"),
+    [
+        ("/nix", "--timeout 0.3", ("/nix", "/other (sensor_msgs/msg/JointState)")),
+        ("/text", "", ("/text", "std_msgs/msg/String", "JointAngles")),
+        ("/new", "--timeout 0.3", ("/new", "its publisher's encoding")),
+        ("/other", f"--joint-names {NAMES[0]},elbow", ("no joint elbow", NAMES[6])),
+        ("/nameless", "--joint-names a,b --seconds 0.3", ("7 joints", "has 2")),
+        ("/other", "--joint-names elbow --seconds 0.3", "no joint elbow"),
+    ],
+)
+def test_what_cannot_be_recorded_is_one_line_and_no_log(
+    refuses: Refuses, crowd: int, topic: str, options: str, says
 ):
-    result = command("tunenet-record", *words, cwd=tmp_path)
-    assert result.returncode == 2
-    assert result.stderr.count("\n") == 1
-    assert names in result.stderr
-    assert not list(tmp_path.iterdir())
+    asked = ("--domain", crowd, "--joint-states", topic, "--timeout", LAST_RESORT_S)
+    refuses(1, *asked, *options.split(), says=says)
 
 
-def test_a_domain_of_the_environment_is_checked(
-    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "many")
-    result = command("tunenet-record", "--joint-states", STATES, cwd=tmp_path)
-    assert result.returncode == 2
-    assert "ROS_DOMAIN_ID: 'many'" in result.stderr
+def test_where_nothing_is_published_that_is_told(refuses: Refuses, domain: int, tmp_path: Path):
+    says = (STATES, "no topic is published", "--domain")
+    asked = ("--loopback", "--joint-states", STATES, "--timeout", 0.3)
+    refuses(1, *asked, "--domain", domain, says=says)
+    (tmp_path / "a.mcap").write_bytes(b"mine")
+    refuses(1, *asked, "-o", "a.mcap", says="a.mcap: exists")
+    assert (tmp_path / "a.mcap").read_bytes() == b"mine"
 
 
-def test_without_cyclonedds_the_extra_is_named(tmp_path: Path):
-    code = (
-        "import sys; sys.modules['cyclonedds'] = None; "
-        "from tunenet_logs.recorders.cli import main; "
-        "sys.exit(main(['--joint-states', '/joint_states']))"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
-    )
-    assert result.returncode == 2
-    assert result.stderr.count("\n") == 1
-    assert "pip install 'tunenet-logs[ros2]'" in result.stderr
-    assert not list(tmp_path.iterdir())
+# ---- Rate and gaps of stamps, and the names of topics
+
+
+def pace_of(stamps_s: np.ndarray) -> Pace:
+    pace = Pace()
+    for one in stamps_s:
+        pace.add(round(one * 1e9))
+    return pace
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 65.0, 1000.0])
+@pytest.mark.parametrize("lost", [(40, 60), (3, 8)])
+def test_a_gap_is_found_whenever_it_is(rate_hz: float, lost: tuple[int, int]):
+    rng = np.random.default_rng(1)
+    stamps_s = (np.arange(500) + rng.uniform(-0.2, 0.2, 500)) / rate_hz
+    late = stamps_s + np.where(np.arange(500) > 300, 1.0, 0.0)
+    pace = pace_of(np.delete(late, slice(*lost)))
+    gap_s = (lost[1] - lost[0] + 1) / rate_hz
+    assert pace.gaps == 1 + (gap_s > 0.01)
+    assert pace.longest_gap_s == pytest.approx(max(1 + 1 / rate_hz, gap_s), abs=0.5 / rate_hz)
+    assert pace.rate_hz == pytest.approx(rate_hz, rel=0.05)
+    assert pace.samples == 500 - (lost[1] - lost[0])
+
+
+def test_nothing_is_said_of_a_few_samples_of_stamps_that_stand_still_and_of_repeats():
+    for stamps_s in (np.arange(3.0), np.zeros(1000), np.zeros(0)):
+        assert pace_of(stamps_s).in_words() == "0.0 Hz, no gap"
+    pace = pace_of(np.repeat(np.arange(100) / 50.0, 3))
+    assert (pace.in_words(), pace.samples) == ("50.0 Hz, no gap", 300)
+
+
+def test_names_of_topics_and_types():
+    assert checked_topic(" arm/joint_states ") == "/arm/joint_states"
+    assert ros_topic(dds_topic("/arm/joint_states")) == "/arm/joint_states"
+    assert ros_topic("rq/arm/setRequest") is None
+    assert ros_type("sensor_msgs::msg::dds_::JointState_") == "sensor_msgs/msg/JointState"
+    assert ros_type("Shape") == "Shape"
+    for text in ("", "/", "a b", "/a//b", "/1a", "a/", "~a", "a" * 300, "/a\nb"):
+        with pytest.raises(UsageError, match="topic"):
+            checked_topic(text)

@@ -1,4 +1,4 @@
-"""What drives a robot: trajectories, plain numbers and wrenches, in every encoding."""
+"""What drives a robot, and how it is turned: trajectories, numbers, wrenches, in every encoding."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.writer import Writer
+from rosbags.typesys import Stores, get_typestore
 
 from tests.conftest import Command
 from tests.driven_logs import (
@@ -16,13 +18,18 @@ from tests.driven_logs import (
     JOINT_STATE,
     NUMBER,
     NUMBERS,
+    POSE,
     START_NS,
+    TF,
     TRAJECTORY,
     WRENCH,
+    Sent,
     header,
     numbers,
     point,
+    pose,
     trajectory,
+    transform,
     wrench,
     write_cdr,
     write_json,
@@ -37,18 +44,14 @@ from tunenet_logs.signals import PlannedRows, PointBudget
 
 S = 10**9
 AB = ("a", "b")
+NAN, INF = float("nan"), float("inf")
+STATE = {"header": header(START_NS), "name": ["a"], "position": [1.0], "velocity": [], "effort": []}
 
 
 def read(tmp_path: Path, *messages: tuple[str, int, dict]) -> Episode:
     """An episode of messages under `/cmd`: type, when received [ns], fields."""
     sent = [("/cmd", kind, at_ns, fields) for kind, at_ns, fields in messages]
     return read_episode(write_cdr(tmp_path / "a.mcap", sent))
-
-
-def planned(tmp_path: Path, *sent: tuple[int, dict]) -> tuple[list[float], list[list[float]]]:
-    """Times [s] and positions of what is planned by messages that come at these times."""
-    signal = read(tmp_path, *((TRAJECTORY, *one) for one in sent)).signals["/cmd.position"]
-    return ((signal.stamps_ns - START_NS) / S).tolist(), signal.values.tolist()
 
 
 def said(episode: Episode) -> list[str]:
@@ -60,77 +63,73 @@ def said(episode: Episode) -> list[str]:
 def test_every_encoding_reads_as_the_same_signals(tmp_path: Path, name: str):
     later = START_NS + 5 * S
     plan = trajectory(later, AB, point(0, [1, 2], [3, 4], [5, 6]), point(S // 2, [7, 8]))
-    float32 = NUMBERS.replace("64", "32")
-    path = DRIVEN_WRITERS[name](
-        tmp_path / name,
-        [
-            ("/plan", TRAJECTORY, 0, plan),
-            ("/many", NUMBERS, 1, numbers(1.5, -2.5)),
-            ("/few", float32, 2, numbers(0.5)),
-            ("/one", NUMBER, 3, {"data": 4.25}),
-            ("/single", NUMBER.replace("64", "32"), 4, {"data": 0.25}),
-            ("/wrench", WRENCH, 5, wrench(later, (1, 2, 3), (4, 5, 6))),
-        ],
-    )
-    episode = read_episode(path)
+    sent: list[Sent] = [
+        ("/plan", TRAJECTORY, 0, plan),
+        ("/many", NUMBERS, 1, numbers(1.5, -2.5)),
+        ("/few", NUMBERS.replace("64", "32"), 2, numbers(0.5)),
+        ("/one", NUMBER, 3, {"data": 4.25}),
+        ("/single", NUMBER.replace("64", "32"), 4, {"data": 0.25}),
+        ("/wrench", WRENCH, 5, wrench(later, (1, 2, 3), (4, 5, 6))),
+    ]
+    episode = read_episode(DRIVEN_WRITERS[name](tmp_path / name, sent))
     assert not said(episode)
     assert not episode.losses
     assert all(one.drives and one.skipped is None for one in episode.channels)
     found = {
         name: (one.values.tolist(), one.columns, one.unit) for name, one in episode.signals.items()
     }
-    nan = [float("nan")] * 2
-    assert str(found) == str(
-        {
-            "/plan.position": ([[1.0, 2.0], [7.0, 8.0]], AB, "rad"),
-            "/plan.velocity": ([[3.0, 4.0], nan], AB, "rad/s"),
-            "/plan.effort": ([[5.0, 6.0], nan], AB, "N·m"),
-            "/many": ([[1.5, -2.5]], ("0", "1"), "1"),
-            "/few": ([[0.5]], ("0",), "1"),
-            "/one": ([[4.25]], ("0",), "1"),
-            "/single": ([[0.25]], ("0",), "1"),
-            "/wrench.force": ([[1.0, 2.0, 3.0]], ("x", "y", "z"), "N"),
-            "/wrench.torque": ([[4.0, 5.0, 6.0]], ("x", "y", "z"), "N·m"),
-        }
-    )
+    assert str(found) == str({
+        "/plan.position": ([[1.0, 2.0], [7.0, 8.0]], AB, "rad"),
+        "/plan.velocity": ([[3.0, 4.0], [NAN] * 2], AB, "rad/s"),
+        "/plan.effort": ([[5.0, 6.0], [NAN] * 2], AB, "N·m"),
+        "/many": ([[1.5, -2.5]], ("0", "1"), "1"),
+        "/few": ([[0.5]], ("0",), "1"),
+        "/one": ([[4.25]], ("0",), "1"),
+        "/single": ([[0.25]], ("0",), "1"),
+        "/wrench.force": ([[1.0, 2.0, 3.0]], ("x", "y", "z"), "N"),
+        "/wrench.torque": ([[4.0, 5.0, 6.0]], ("x", "y", "z"), "N·m"),
+    })  # fmt: skip
     stamps = {name: one.stamps_ns.tolist() for name, one in episode.signals.items()}
     assert stamps["/plan.position"] == [later, later + S // 2]
     assert (stamps["/many"], stamps["/one"]) == ([START_NS + 1], [START_NS + 3])
     assert stamps["/wrench.force"] == [later]
 
 
-def test_a_plan_without_a_stamp_starts_when_it_arrives(tmp_path: Path):
-    assert planned(tmp_path, (2 * S, trajectory(0, "a", point(S, [1])))) == ([3], [[1]])
+def counting(*numbers: int) -> dict:
+    """A plan whose positions say when they are reached."""
+    return trajectory(0, "a", *(point(S * one, [one]) for one in numbers))
 
 
-def test_a_later_plan_replaces_what_comes_after_its_start(tmp_path: Path):
-    first = trajectory(0, "a", *(point(S * one, [one]) for one in range(1, 6)))
-    second = trajectory(0, "a", point(S, [40]), point(9 * S, [50]))
-    third = trajectory(START_NS + 8 * S, "a", point(S, [60]))
-    sent = [(0, first), (3 * S, second), (3 * S + 1, third)]
-    assert planned(tmp_path, *sent) == ([1, 2, 3, 4, 9], [[1], [2], [3], [40], [60]])
+BOTH = trajectory(0, AB, point(S, [1, 2]), point(3 * S, [3, 4]))
 
 
-def test_of_two_plans_for_one_moment_the_later_counts(tmp_path: Path):
-    sent = [(0, trajectory(0, "a", point(S, [1]))), (S, trajectory(0, "a", point(0, [2])))]
-    assert planned(tmp_path, *sent) == ([1], [[2]])
-
-
-def test_a_plan_replaces_that_of_its_own_joints_alone(tmp_path: Path):
-    both = trajectory(0, AB, point(S, [1, 2]), point(3 * S, [3, 4]))
-    turned = trajectory(0, "ba", point(S, [6, 5]))
-    other = trajectory(0, "c", point(S, [7]))
-    nan = float("nan")
-    times, values = planned(tmp_path, (0, both), (S, other), (2 * S, trajectory(0, "b")))
-    assert (times, str(values)) == ([1, 2], str([[1.0, 2.0, nan], [nan, nan, 7.0]]))
-    times, values = planned(tmp_path, (0, both), (2 * S, trajectory(0, "b", point(2 * S, [9]))))
-    assert (times, str(values)) == ([1, 3, 4], str([[1.0, 2.0], [3.0, nan], [nan, 9.0]]))
-    assert planned(tmp_path, (0, both), (2 * S, turned)) == ([1, 3], [[1, 2], [5, 6]])
-
-
-def test_one_without_points_ends_every_plan(tmp_path: Path):
-    sent = [(0, trajectory(0, "a", *(point(S * one, [one]) for one in range(1, 6))))]
-    assert planned(tmp_path, *sent, (2 * S, trajectory(0, ()))) == ([1, 2], [[1], [2]])
+@pytest.mark.parametrize(
+    ("sent", "times", "positions"),
+    [
+        # Without a stamp it starts when it arrives.
+        ([(2 * S, trajectory(0, "a", point(S, [1])))], [3], [[1.0]]),
+        # A later one replaces what comes after its start.
+        ([(0, counting(1, 2, 3, 4, 5)),
+          (3 * S, trajectory(0, "a", point(S, [40]), point(9 * S, [50]))),
+          (3 * S + 1, trajectory(START_NS + 8 * S, "a", point(S, [60])))],
+         [1, 2, 3, 4, 9], [[1.0], [2.0], [3.0], [40.0], [60.0]]),
+        # Of two for one moment the later counts.
+        ([(0, counting(1)), (S, trajectory(0, "a", point(0, [2])))], [1], [[2.0]]),
+        # It replaces that of its own joints alone.
+        ([(0, BOTH), (S, trajectory(0, "c", point(S, [7]))), (2 * S, trajectory(0, "b"))],
+         [1, 2], [[1.0, 2.0, NAN], [NAN, NAN, 7.0]]),
+        ([(0, BOTH), (2 * S, trajectory(0, "b", point(2 * S, [9])))],
+         [1, 3, 4], [[1.0, 2.0], [3.0, NAN], [NAN, 9.0]]),
+        ([(0, BOTH), (2 * S, trajectory(0, "ba", point(S, [6, 5])))],
+         [1, 3], [[1.0, 2.0], [5.0, 6.0]]),
+        # One without points ends every plan.
+        ([(0, counting(1, 2, 3, 4, 5)), (2 * S, trajectory(0, ()))], [1, 2], [[1.0], [2.0]]),
+    ],
+)  # fmt: skip
+def test_plans_that_follow_each_other(tmp_path: Path, sent: list, times: list, positions: list):
+    signal = read(tmp_path, *((TRAJECTORY, *one) for one in sent)).signals["/cmd.position"]
+    assert ((signal.stamps_ns - START_NS) / S).tolist() == times
+    assert str(signal.values.tolist()) == str(positions)
 
 
 @pytest.mark.parametrize(
@@ -157,35 +156,27 @@ def test_a_plan_that_no_controller_takes_changes_nothing(tmp_path: Path, plan: d
 def test_stamps_beyond_the_calendar_are_damage(tmp_path: Path):
     far = trajectory(0, "a", point(0, [1]))
     far["points"][0]["time_from_start"] = {"sec": 10**10, "nanosec": 0}
-    path = write_json(tmp_path / "a.mcap", [("/cmd", TRAJECTORY, 0, far)])
-    episode = read_episode(path)
+    episode = read_episode(write_json(tmp_path / "a.mcap", [("/cmd", TRAJECTORY, 0, far)]))
     assert not episode.signals
     assert "beyond the year 2262" in episode.losses[0]
 
 
 def test_a_million_points_are_not_even_decoded(tmp_path: Path):
     """A message of these would become objects of a gigabyte."""
-    from mcap.writer import Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    empty = bytes(20) + np.uint32(0).tobytes()
-    assert len(empty) == 24
     start = b"\0\1\0\0" + bytes(8) + np.array([1, 0, 0, 10**6], np.uint32).tobytes()
+    data = start + bytes(24) * 10**6
     text = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(TRAJECTORY, ros_version=2)[0]
     with (tmp_path / "a.mcap").open("wb") as file:
         writer = Writer(file)
         writer.start("ros2")
         schema = writer.register_schema(TRAJECTORY, "ros2msg", text.encode())
         channel = writer.register_channel("/cmd", "cdr", schema)
-        writer.add_message(channel, START_NS, start + empty * 10**6, START_NS)
+        writer.add_message(channel, START_NS, data, START_NS)
         writer.finish()
     episode = read_episode(tmp_path / "a.mcap")
     assert not episode.signals
-    (channel,) = episode.channels
-    assert (
-        channel.skipped
-        == f"a message of {len(start) + 24 * 10**6} bytes is over the limit of 4194304"
-    )
+    says = f"a message of {len(data)} bytes is over the limit of 4194304"
+    assert [one.skipped for one in episode.channels] == [says]
 
 
 def test_the_points_and_values_of_a_log_are_bounded():
@@ -200,13 +191,10 @@ def test_the_points_and_values_of_a_log_are_bounded():
     with pytest.raises(BeyondLimitError, match="over 200000 points"):
         rows.check(b"")
     assert rows.signals() == ([], [])  # no quantity was given
-
-
-def test_many_ends_of_plans_take_no_time():
     rows = PlannedRows("/cmd", PointBudget(0))
     for name in range(500):
         rows.add(0, PlanSample(0, (str(name),), [(1, (1.0,), (), ())]))
-    for _ in range(19_500):
+    for _ in range(19_500):  # many ends of plans take no time
         rows.add(1, PlanSample(0, (), ()))
     with pytest.raises(BeyondLimitError, match="over 10000000 values"):
         rows.add(1, PlanSample(0, (), ()))
@@ -215,20 +203,18 @@ def test_many_ends_of_plans_take_no_time():
 
 
 def test_what_is_no_number_is_missing(tmp_path: Path):
-    nan, infinite = float("nan"), float("inf")
-    sent = [
-        ("/plan", TRAJECTORY, 0, trajectory(0, AB, point(0, [nan, infinite]), point(1, [1, nan]))),
-        ("/numbers", NUMBERS, 0, numbers(nan, 1.0, -infinite)),
-        ("/wrench", WRENCH, 0, wrench(START_NS, (nan, 1, 2), (nan, nan, infinite))),
+    sent: list[Sent] = [
+        ("/plan", TRAJECTORY, 0, trajectory(0, AB, point(0, [NAN, INF]), point(1, [1, NAN]))),
+        ("/numbers", NUMBERS, 0, numbers(NAN, 1.0, -INF)),
+        ("/wrench", WRENCH, 0, wrench(START_NS, (NAN, 1, 2), (NAN, NAN, INF))),
     ]
     signals = read_episode(write_cdr(tmp_path / "a.mcap", sent)).signals
     assert list(signals) == ["/plan.position", "/numbers", "/wrench.force"]
-    for signal in signals.values():
-        assert not np.isinf(signal.values).any()
+    assert not any(np.isinf(signal.values).any() for signal in signals.values())
     assert np.isnan(signals["/plan.position"].values).tolist() == [[True, True], [False, True]]
 
 
-def test_the_most_frequent_length_counts(tmp_path: Path):
+def test_of_plain_numbers_the_most_frequent_length_counts(tmp_path: Path):
     lengths = (2, 3, 3, 1, 3, 1001, 0)
     sent = [(NUMBERS, at, numbers(*[float(at)] * length)) for at, length in enumerate(lengths)]
     episode = read(tmp_path, *sent)
@@ -238,45 +224,29 @@ def test_the_most_frequent_length_counts(tmp_path: Path):
         "/cmd: 2 messages were left out (the first: over 1000 numbers)",
         "/cmd: 2 messages of another length than 3 were left out",
     ]
-
-
-def test_numbers_may_have_a_layout_but_no_picture(tmp_path: Path):
     dim = {"label": "joints", "size": 2, "stride": 2}
     laid_out = {"layout": {"dim": [dim], "data_offset": 0}, "data": [1.0, 2.0]}
-    sent = [(NUMBERS, 0, laid_out), (NUMBERS, 1, numbers(*[0.0] * 10_000))]
-    episode = read(tmp_path, *sent)
+    episode = read(tmp_path, (NUMBERS, 0, laid_out), (NUMBERS, 1, numbers(*[0.0] * 10_000)))
     assert episode.signals["/cmd"].values.tolist() == [[1, 2]]
     assert "bytes is over the limit of 65536" in said(episode)[0]
-
-
-def test_wrenches_go_by_the_clock_that_tells_the_time(tmp_path: Path):
     sent = [(WRENCH, one, wrench(0, (one, 0, 0), (0, 0, 0))) for one in range(3)]
-    force = read(tmp_path, *sent).signals["/cmd.force"]
+    force = read(tmp_path, *sent).signals["/cmd.force"]  # by the clock that tells the time
     assert force.stamps_ns.tolist() == [START_NS, START_NS + 1, START_NS + 2]
 
 
 def test_a_plan_does_not_take_the_name_of_a_state(tmp_path: Path):
-    state = {"header": header(START_NS), "name": ["a"], "position": [1.0]}
-    state |= {"velocity": [], "effort": []}
-    plan = trajectory(0, "a", point(0, [2]))
-    path = tmp_path / "a.mcap"
+    path, plan = tmp_path / "a.mcap", trajectory(0, "a", point(0, [2]))
     write_json(path, [("/a", TRAJECTORY, 0, plan), ("/a.position", NUMBER, 1, {"data": 1})])
     assert set(read_episode(path).signals) == {"/a.position", "/a.position@Float64"}
-    write_json(
-        path,
-        [
-            ("/joint_states.position", NUMBER, 0, {"data": 9.0}),
-            ("/joint_states", JOINT_STATE, 1, state),
-        ],
-    )
+    other = ("/joint_states.position", NUMBER, 0, {"data": 9.0})
+    write_json(path, [other, ("/joint_states", JOINT_STATE, 1, STATE)])
     assert read_episode(path).signals["/joint_states.position"].values.tolist() == [[1]]
 
 
-def _driven(tmp_path: Path) -> Path:
-    state = {"header": header(START_NS), "name": ["a"], "position": [1.0]}
-    state |= {"velocity": [], "effort": []}
-    sent = [
-        ("/state", JOINT_STATE, 0, state),
+@pytest.fixture
+def driven(tmp_path: Path) -> Path:
+    sent: list[Sent] = [
+        ("/state", JOINT_STATE, 0, STATE),
         ("/cmd", TRAJECTORY, 0, trajectory(0, "a", point(0, [2]))),
         ("/cmd", TRAJECTORY, 1, trajectory(0, "a", point(-1, [2]))),
         ("/u", NUMBERS, 2, numbers(1)),
@@ -286,20 +256,20 @@ def _driven(tmp_path: Path) -> Path:
     return write_cdr(tmp_path / "driven.mcap", sent)
 
 
-def test_what_was_measured_is_the_rest(tmp_path: Path):
-    episode = read_episode(_driven(tmp_path))
+def test_what_was_measured_is_the_rest(driven: Path):
+    episode = read_episode(driven)
     assert len(said(episode)) == 2
     rest = without_commands(episode)
     assert list(rest.signals) == ["/state.position"]
     assert not said(rest)
-    skipped = {one.topic: one.skipped for one in rest.channels}
     why = "its type is not one that a task uses"
+    skipped = {one.topic: one.skipped for one in rest.channels}
     assert skipped == {"/state": None, "/cmd": why, "/u": why, "/f": why}
     assert without_commands(rest).signals == rest.signals
 
 
-def test_an_import_makes_no_state_of_a_command(tmp_path: Path):
-    done = import_log(_driven(tmp_path), tmp_path / "b.mcap")
+def test_an_import_makes_no_state_of_a_command(driven: Path, tmp_path: Path):
+    done = import_log(driven, tmp_path / "b.mcap")
     assert list(read_episode(tmp_path / "b.mcap").signals) == ["/state.position"]
     assert [line.partition(":")[0] for line in done.left_out] == ["/cmd", "/u", "/f"]
     write_cdr(tmp_path / "c.mcap", [("/u", NUMBERS, 0, numbers(1))])
@@ -307,14 +277,13 @@ def test_an_import_makes_no_state_of_a_command(tmp_path: Path):
         import_log(tmp_path / "c.mcap", tmp_path / "d.mcap")
 
 
-def test_info_and_check_say_that_they_are_used(tmp_path: Path, command: Command):
-    path = _driven(tmp_path)
-    done = command("tunenet-logs", "info", path)
+def test_info_and_check_say_that_they_are_used(driven: Path, command: Command):
+    done = command("tunenet-logs", "info", driven)
     assert done.returncode == 0
     rows = [line for line in done.stdout.splitlines() if line.startswith("  /")][:4]
     assert all(row.endswith("yes") for row in rows), rows
     assert "/cmd: 1 messages were left out (the first: the times of its points" in done.stdout
-    done = command("tunenet-logs", "check", path)
+    done = command("tunenet-logs", "check", driven)
     assert done.returncode == 1
     assert "/cmd" in done.stdout
     assert "not whole" in done.stdout
@@ -340,6 +309,57 @@ def test_anything_in_a_plan_is_a_plan_or_left_out(tmp_path_factory: Any, data: s
         plan["points"][1]["time_from_start"] = {"sec": data.draw(wide), "nanosec": 0}
     path = tmp_path_factory.mktemp("any") / "a.mcap"
     good = trajectory(0, AB, point(0, [1, 2]))
-    sent = [("/cmd", TRAJECTORY, 0, good), ("/cmd", TRAJECTORY, S, plan)]
-    episode = read_episode(write_json(path, sent))
+    episode = read_episode(
+        write_json(path, [("/cmd", TRAJECTORY, 0, good), ("/cmd", TRAJECTORY, S, plan)])
+    )
     assert episode.signals["/cmd.position"].values[0].tolist() == [1, 2]
+
+
+# Orientations and frames of what has a position.
+STEP_NS, COUNT = 10_000_000, 20
+ANGLES = np.linspace(0.0, 1.0, COUNT)
+TURNS = np.column_stack([np.zeros((COUNT, 2)), np.sin(ANGLES / 2), np.cos(ANGLES / 2)])
+FRAMES = {
+    "/mocap": "room", "/mocap.orientation": "room", "/tf.tool": "base",
+    "/tf.tool.orientation": "base", "/ft.force": "flange", "/ft.torque": "flange",
+}  # fmt: skip
+
+
+def turned(turns: Any = TURNS) -> list[Sent]:
+    """A pose, a transform and a wrench at each of some moments."""
+    found: list[Sent] = []
+    for number, turn in enumerate(turns):
+        at_ns = number * STEP_NS
+        stamp_ns = START_NS + at_ns
+        moved = transform(stamp_ns, (1, 2, number), turn, "base", "tool")
+        found += [
+            ("/mocap", POSE, at_ns, pose(stamp_ns, (number, 0, 0), turn, "room")),
+            ("/tf", TF, at_ns, {"transforms": [moved]}),
+            ("/ft", WRENCH, at_ns, wrench(stamp_ns, (1, 2, 3), (4, 5, 6), "flange")),
+        ]
+    return found
+
+
+@pytest.mark.parametrize("name", DRIVEN_WRITERS)
+def test_orientations_and_frames_are_read_and_imported(name: str, tmp_path: Path):
+    path = DRIVEN_WRITERS[name](tmp_path / name, turned())
+    signals = read_episode(path).signals
+    assert {one.name: one.frame for one in signals.values()} == FRAMES
+    for label in ("/mocap.orientation", "/tf.tool.orientation"):
+        assert signals[label].columns == ("x", "y", "z", "w")
+        np.testing.assert_allclose(signals[label].values, TURNS, atol=1e-15)
+        assert not signals[label].is_position
+    imported = import_log(path, tmp_path / "imported.mcap")
+    assert [one for one in imported.left_out if one.startswith("/ft: a command or a force")]
+    again = read_episode(tmp_path / "imported.mcap").signals
+    for old, new in (("/mocap", "/mocap"), ("/tf.tool", "/tf/tool")):
+        for label in ("", ".orientation"):
+            one, other = signals[old + label], again[new + label]
+            assert np.array_equal(one.values, other.values)
+            assert one.frame == other.frame
+
+
+@pytest.mark.parametrize("turn", [(0, 0, 0, 1), (0, 0, 0, 0), (np.nan,) * 4, (3, 4, 0, 0)])
+def test_what_is_no_rotation_is_no_signal(turn: Any, tmp_path: Path):
+    path = write_cdr(tmp_path / "a.mcap", turned([turn] * COUNT))
+    assert not [name for name in read_episode(path).signals if "orientation" in name]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,11 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_typestore
 
 from tests import strangers
 from tests.conftest import BIN
+from tests.picture_strangers import COMPRESSED, compressed, write_pictures_folder
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.copying import import_log
@@ -28,7 +29,7 @@ from tunenet_logs.reader import read_episode
 from tunenet_logs.writing.writer import EpisodeWriter
 
 NAMES = [f"joint_{number}" for number in range(1, 8)]
-IMAGE = "sensor_msgs/msg/CompressedImage"
+EFFORTS = np.arange(7.0)
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +44,9 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
             jpeg = cv2.imencode(".jpg", pixels)[1].tobytes()
             writer.write_frame("/camera/image_raw/compressed", Frame(stamp, "jpeg", jpeg))
             writer.write_frame("/camera/raw", Frame(stamp, "rgb8", pixels.tobytes(), (32, 24)))
-            writer.write_joints("/joint_states", stamp, NAMES, rng.normal(size=7), [], NAMES_SIZE)
+            writer.write_joints("/joint_states", stamp, NAMES, rng.normal(size=7), [], EFFORTS)
             writer.write_pose("/ball/pose", stamp, rng.normal(size=3))
     return path
-
-
-NAMES_SIZE = np.arange(7.0)
 
 
 def test_the_libraries_of_ros_2_and_mcap_read_it(ours: Path):
@@ -57,51 +55,46 @@ def test_the_libraries_of_ros_2_and_mcap_read_it(ours: Path):
         decoded = list(reader.iter_decoded_messages())
     assert len(decoded) == 80
     efforts = [one[3].effort for one in decoded if one[1].topic == "/joint_states"]
-    assert all(list(one) == list(NAMES_SIZE) for one in efforts)
+    assert all(list(one) == list(EFFORTS) for one in efforts)
     with AnyReader([ours]) as bag:
         assert sum(1 for one in bag.messages()) == 80
 
 
-@pytest.mark.parametrize(
-    ("entity", "component"),
-    [
+def test_rerun_shows_all_of_it_natively(ours: Path, tmp_path: Path):
+    quiet: dict[str, Any] = {"check": True, "capture_output": True, "text": True, "timeout": 60}
+    shown = tmp_path / "a.rrd"
+    subprocess.run([BIN / "rerun", "mcap", "convert", ours, "-o", shown], **quiet)
+    for entity, component in (
         ("/camera/image_raw/compressed", "EncodedImage:blob"),
         ("/camera/raw", "Image:buffer"),
         ("/joint_states/effort", "Scalars:scalars"),
         ("/ball/pose", ":translation"),
-    ],
-)
-def test_rerun_shows_all_of_it_natively(ours: Path, tmp_path: Path, entity: str, component: str):
-    convert = [BIN / "rerun", "mcap", "convert", ours, "-o", tmp_path / "a.rrd"]
-    subprocess.run(convert, check=True, capture_output=True, timeout=60)
-    shown = subprocess.run(
-        [BIN / "rerun", "rrd", "print", "-v", "--entity", entity, tmp_path / "a.rrd"],
-        check=True, capture_output=True, text=True, timeout=60,
-    ).stdout  # fmt: skip
-    assert component in shown
+    ):
+        words = [BIN / "rerun", "rrd", "print", "-v", "--entity", entity, shown]
+        assert component in subprocess.run(words, **quiet).stdout
 
 
-def write_pictures_bag(path: Path, frames: list[Frame]) -> Path:
+def write_bag(path: Path, frames: list[Frame]) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
+    of = store.types
     with BagWriter(path) as writer:
-        connection = writer.add_connection("/eye/compressed", IMAGE, typestore=store)
+        connection = writer.add_connection("/eye", COMPRESSED, typestore=store)
         for count, frame in enumerate(frames):
-            data = bytes(store.serialize_ros1(_image(store.types, frame, seq=count), IMAGE))
-            writer.write(connection, frame.stamp_ns, data)
-    return path
+            stamp = of["builtin_interfaces/msg/Time"](*divmod(frame.stamp_ns, 10**9))
+            header = of["std_msgs/msg/Header"](seq=count, stamp=stamp, frame_id="eye")
+            data = np.frombuffer(frame.data, np.uint8)
+            message = of[COMPRESSED](header=header, format="jpeg", data=data)
+            raw = bytes(store.serialize_ros1(message, COMPRESSED))
+            writer.write(connection, frame.stamp_ns, raw)
 
 
-def write_pictures_folder(path: Path, frames: list[Frame], storage: StoragePlugin) -> Path:
-    store = get_typestore(Stores.ROS2_JAZZY)
-    with FolderWriter(path, version=9, storage_plugin=storage) as writer:
-        connection = writer.add_connection("/eye/compressed", IMAGE, typestore=store)
-        for frame in frames:
-            data = bytes(store.serialize_cdr(_image(store.types, frame), IMAGE))
-            writer.write(connection, frame.stamp_ns, data)
-    return path
+def write_folder(storage: StoragePlugin) -> Callable[[Path, list[Frame]], object]:
+    return lambda path, frames: write_pictures_folder(
+        path, (compressed(one.stamp_ns, "jpeg", one.data) for one in frames), storage
+    )
 
 
-def write_pictures_json(path: Path, frames: list[Frame]) -> Path:
+def write_json(path: Path, frames: list[Frame]) -> None:
     messages = [
         {
             "timestamp": {"sec": one.stamp_ns // 10**9, "nsec": one.stamp_ns % 10**9},
@@ -113,27 +106,26 @@ def write_pictures_json(path: Path, frames: list[Frame]) -> Path:
     ]
     stamps = np.array([one.stamp_ns for one in frames])
     strangers.write_texts(path, "foxglove.CompressedImage", messages, "/eye", stamps)
-    return path
 
 
-def write_pictures_protobuf(path: Path, frames: list[Frame]) -> Path:
-    from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+def write_protobuf(path: Path, frames: list[Frame]) -> None:
     from mcap_protobuf.writer import Writer
 
+    kind = strangers.foxglove("CompressedImage")
     with path.open("wb") as file, Writer(file) as writer:
         for one in frames:
-            message = CompressedImage(frame_id="eye", format="jpeg", data=one.data)
+            message = kind(frame_id="eye", format="jpeg", data=one.data)
             message.timestamp.FromNanoseconds(one.stamp_ns)
             writer.write_message("/eye", message, one.stamp_ns, one.stamp_ns)
-    return path
 
 
-def _image(types: Any, frame: Frame, **more: Any) -> Any:
-    seconds, nanoseconds = divmod(frame.stamp_ns, 10**9)
-    stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="eye", **more)
-    data = np.frombuffer(frame.data, np.uint8)
-    return types[IMAGE](header=header, format="jpeg", data=data)
+PICTURES: dict[str, Callable[[Path, list[Frame]], object]] = {
+    "a.bag": write_bag,
+    "db3": write_folder(StoragePlugin.SQLITE3),
+    "mcap": write_folder(StoragePlugin.MCAP),
+    "json.mcap": write_json,
+    "protobuf.mcap": write_protobuf,
+}
 
 
 def test_the_same_frames_come_out_of_every_container(filmed_log: Path, tmp_path: Path):
@@ -144,43 +136,36 @@ def test_the_same_frames_come_out_of_every_container(filmed_log: Path, tmp_path:
         for one in frames:
             writer.write_frame("/camera/image_raw/compressed", one)
     truth = [Frame(begin + one.stamp_ns, one.encoding, one.data) for one in frames]
-    logs = [
-        write_pictures_bag(tmp_path / "a.bag", truth),
-        write_pictures_folder(tmp_path / "db3", truth, StoragePlugin.SQLITE3),
-        write_pictures_folder(tmp_path / "mcap", truth, StoragePlugin.MCAP),
-        write_pictures_json(tmp_path / "json.mcap", truth),
-        write_pictures_protobuf(tmp_path / "protobuf.mcap", truth),
-    ]
-    for log in logs:
-        found = list(read_episode(log).frames())
-        assert [one.stamp_ns for one in found] == [one.stamp_ns for one in truth], log
-        assert all(one.data == two.data for one, two in zip(found, truth, strict=True)), log
-    first, last = (
-        tune_log(log, TuneOptions()).estimate for log in (tmp_path / "ours.mcap", logs[0])
-    )
+    for name, write in PICTURES.items():
+        write(tmp_path / name, truth)
+        found = [(one.stamp_ns, one.data) for one in read_episode(tmp_path / name).frames()]
+        assert found == [(one.stamp_ns, one.data) for one in truth], name
+    logs = (tmp_path / "ours.mcap", tmp_path / "a.bag")
+    first, last = (tune_log(log, TuneOptions()).estimate for log in logs)
     assert first is not None
     assert last is not None
     assert abs(first[0] - last[0]) < 1e-3
 
 
-@pytest.mark.parametrize("kind", ["bag", "db3", "protobuf", "csv"])
-def test_an_import_tunes_like_what_it_came_from(tmp_path: Path, kind: str):
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("a.bag", strangers.write_poses_bag),
+        ("db3", strangers.write_poses_folder),
+        ("protobuf.mcap", strangers.write_protobuf),
+        ("a.csv", strangers.write_table),
+    ],
+)
+def test_an_import_tunes_like_what_it_came_from(tmp_path: Path, name: str, write: Callable):
     samples = strangers.Stranger(0.6).samples()
-    log = tmp_path / {"db3": "bag", "protobuf": "a.mcap"}.get(kind, f"a.{kind}")
-    write = {
-        "bag": strangers.write_poses_bag,
-        "db3": strangers.write_poses_folder,
-        "protobuf": strangers.write_protobuf,
-        "csv": strangers.write_table,
-    }[kind]
-    write(log, *samples)  # type: ignore[operator]
-    imported = import_log(log, tmp_path / "imported.mcap")
-    assert imported.messages == len(samples[0])
-    one, other = (tune_log(path, TuneOptions()) for path in (log, tmp_path / "imported.mcap"))
+    log, imported = tmp_path / name, tmp_path / "imported.mcap"
+    write(log, *samples)
+    assert import_log(log, imported).messages == len(samples[0])
+    one, other = (tune_log(path, TuneOptions()) for path in (log, imported))
     assert one.estimate is not None
     assert other.estimate is not None
     assert abs(one.estimate[0] - other.estimate[0]) < 1e-9
-    assert not read_episode(tmp_path / "imported.mcap").warnings
+    assert not read_episode(imported).warnings
 
 
 def test_joints_and_videos_can_be_imported(tmp_path: Path, ours: Path):

@@ -19,6 +19,8 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.reader import read_episode
 from tunenet_logs.writing.writer import EpisodeWriter, bare_ending
 
+DROP = EpisodeInfo(kind="drop")
+
 
 def fill(folder: Path, limit: int, *, live: bool, overwrite: bool = False) -> tuple[int, str]:
     """Record until it fails; messages acknowledged before, and what is said.
@@ -34,8 +36,7 @@ def fill(folder: Path, limit: int, *, live: bool, overwrite: bool = False) -> tu
     def write() -> None:
         nonlocal acknowledged
         rng = np.random.default_rng(0)
-        info = EpisodeInfo(kind="drop")
-        with EpisodeWriter(folder / "a.mcap", info, live=live, overwrite=overwrite) as writer:
+        with EpisodeWriter(folder / "a.mcap", DROP, live=live, overwrite=overwrite) as writer:
             for index in range(100_000):
                 writer.write_pose("/ball/pose", 1 + index, rng.normal(size=3))
                 acknowledged = writer.written
@@ -83,8 +84,7 @@ def test_a_file_that_may_not_grow(tmp_path: Path, limit: int, live: bool):
     kept = heights_in(log, acknowledged)
     assert f"; {kept} of " in said
     assert "are kept in a.mcap;" in said
-    if limit > 50_000:  # less holds no whole chunk
-        assert kept > 100
+    assert kept > 100 or limit < 50_000  # which holds no whole chunk
     info = read_episode(log).info
     assert info.kind == "drop"
     assert info.counts["written"] == kept
@@ -110,8 +110,8 @@ def test_at_any_size_there_is_one_log_and_it_holds_what_was_acknowledged(tmp_pat
     assert forms == {" cannot be written ", " writing failed "}
 
 
-def test_where_no_end_fits_the_log_is_left_without_one(tmp_path: Path):
-    with EpisodeWriter(tmp_path / "a.mcap", EpisodeInfo(kind="drop"), live=False) as writer:
+def test_where_no_end_fits_or_a_log_was_to_be_replaced_it_stays_active(tmp_path: Path):
+    with EpisodeWriter(tmp_path / "a.mcap", DROP, live=False) as writer:
         rng = np.random.default_rng(0)
         while not writer.written:
             writer.write_pose("/ball/pose", 1 + writer.accepted, rng.normal(size=3))
@@ -122,13 +122,11 @@ def test_where_no_end_fits_the_log_is_left_without_one(tmp_path: Path):
     assert "kept in a.mcap.active" in said
     episode = read_episode(folder / "a.mcap.active")
     assert any("end of the file is missing" in warning for warning in episode.warnings)
-
-
-def test_a_log_that_was_to_be_replaced_stays(tmp_path: Path):
-    (tmp_path / "a.mcap").write_bytes(OF_OURS + b"the old one")
-    acknowledged, said = fill(tmp_path, 100_000, live=True, overwrite=True)
-    assert (tmp_path / "a.mcap").read_bytes() == OF_OURS + b"the old one"
-    kept = heights_in(tmp_path / "a.mcap.active", acknowledged)
+    (folder / "a.mcap.active").unlink()
+    (folder / "a.mcap").write_bytes(OF_OURS + b"the old one")
+    acknowledged, said = fill(folder, 100_000, live=True, overwrite=True)
+    assert (folder / "a.mcap").read_bytes() == OF_OURS + b"the old one"
+    kept = heights_in(folder / "a.mcap.active", acknowledged)
     assert f"{kept} of " in said
     assert "kept in a.mcap.active" in said
 
@@ -144,9 +142,8 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     except FileNotFoundError:
         pytest.skip("a full disk needs a small one, and there is no mount command to make it with")
     if mounted.returncode:
-        pytest.skip(
-            f"a full disk needs a small one, and only root may mount it ({mounted.stderr.strip()})"
-        )
+        why = mounted.stderr.strip()
+        pytest.skip(f"a full disk needs a small one, and only root may mount it ({why})")
     yield folder
     subprocess.run(["umount", str(folder)], check=True, timeout=20)
 
@@ -157,15 +154,14 @@ def test_a_small_disk(small_disk: Path, live: bool, taken: int):
     (small_disk / "other").write_bytes(bytes(taken))
     acknowledged, said = fill(small_disk, 0, live=live)
     assert "No space left on device" in said
-    left = [one for one in small_disk.iterdir() if one.name != "other"]
-    assert len(left) == 1
-    assert left[0].name in said
-    assert f"; {heights_in(left[0], acknowledged)} of " in said
+    [left] = [one for one in small_disk.iterdir() if one.name != "other"]
+    assert left.name in said
+    assert f"; {heights_in(left, acknowledged)} of " in said
 
 
 def test_too_little_space_ends_it_whole(small_disk: Path):
     log, half = small_disk / "a.mcap", 512 * 1024
-    writer = EpisodeWriter(log, EpisodeInfo(kind="drop"), min_free_bytes=half)
+    writer = EpisodeWriter(log, DROP, min_free_bytes=half)
     rng = np.random.default_rng(0)
     for index in range(2000):
         writer.write_pose("/ball/pose", 1 + index, rng.normal(size=3))
@@ -207,15 +203,15 @@ def test_a_copy_on_a_small_disk_leaves_nothing_and_says_what_to_do(
 def test_a_recording_does_not_start_on_a_disk_that_is_nearly_full(
     command: Command, tmp_path: Path, source: tuple[str, str]
 ):
-    from tests.recorders.test_video_file import write_video
+    from tests.recorders.films import write_video
 
     write_video(tmp_path / "a.mp4", [0, 10, 20])
-    words = (*source, "--min-free", 999_999_999, "-o", "a.mcap")
-    result = command("tunenet-record", *words, cwd=tmp_path)
+    words = ("tunenet-record", *source, "-o", "a.mcap", "--min-free")
+    result = command(*words, 999_999_999, cwd=tmp_path)
     assert result.returncode == 1
     assert result.stderr.count("\n") == 1
     assert " GB left and 1000000 GB are to stay free" in result.stderr
     assert "--min-free" in result.stderr
     assert [one.name for one in tmp_path.iterdir()] == ["a.mp4"]
-    allowed = command("tunenet-record", *source, "--min-free", 0, "-o", "a.mcap", cwd=tmp_path)
+    allowed = command(*words, 0, cwd=tmp_path)
     assert allowed.returncode == 0, allowed.stderr

@@ -1,4 +1,7 @@
-"""Which layout a file is, by its content and under any name; what is not read is named truly."""
+"""Which layout a file is, by its content and under any name; what is not read is named truly.
+
+What a column's name means is said once, and so is a unit: every reader of tables knows both.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,14 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.conftest import ROOT
+from tests.export_writers_video import write_xlsx
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
+from tunenet_logs.formats.columns import names
 from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions, columns_of
 from tunenet_logs.formats.registry import may_be_log
 from tunenet_logs.reader import read_episode
@@ -34,9 +40,9 @@ def refusal(path: Path, content: str | bytes) -> str:
     return str(caught.value)
 
 
-def rows(row: Callable[[int, str, str, np.ndarray], str], last: int = 30) -> str:
+def rows(row: Callable[[int, str, str, np.ndarray], str]) -> str:
     """A line each for seconds, nanoseconds and place."""
-    parts = zip(TIMES_NS[:last].tolist(), PLACES, strict=False)
+    parts = zip(TIMES_NS.tolist(), PLACES, strict=True)
     return "".join(row(at // NS, f"{at % NS}", f"{at / NS:.6f}", one) + "\n" for at, one in parts)
 
 
@@ -46,96 +52,77 @@ def numbers(values: Iterable[float], mark: str = " ") -> str:
 
 TUM = rows(lambda _s, _n, t, one: f"{t} {numbers(one)} 0 0 0.6 0.8")
 ECHO = rows(lambda s, n, _t, one: f"{s},{n},map,{numbers(one, ',')},0.0,0.0,0.6,0.8")
-TRANSFORM = ECHO.replace("map", "map,ball")
 COVARIANCE = ",".join(["0.01"] * 36)
-ODOMETRY = TRANSFORM.replace(
+ODOMETRY = ECHO.replace("map", "map,ball").replace(
     ",0.6,0.8\n", f",0.6,0.8,{COVARIANCE},{','.join(['2.5'] * 6)},{COVARIANCE}\n"
 )
-WITH_COVARIANCE = ECHO.replace(",0.6,0.8\n", f",0.6,0.8,{COVARIANCE}\n")
-KITTI = rows(lambda _s, _n, _t, one: f"0 0 1 {one[0]:.6f} 1 0 0 {one[1]:.6f} 0 1 0 {one[2]:.6f}")
 STO = "Ball{0}\nversion=1\nnRows=30\nnColumns=4\ninDegrees=no\nendheader{0}\n" + (
     "time\tball_X\tball_Y\tball_Z\n"
     + rows(lambda s, n, _t, one: f"{s - S + int(n) / NS:.6f}\t{numbers(one, chr(9))}")
+)
+TUM_SAID, STO_SAID, ECHO_SAID = (
+    ", a TUM trajectory",
+    ", of OpenSim",
+    ", `ros2 topic echo --csv` of ",
 )
 
 
 @pytest.mark.parametrize(
     ("name", "text", "what"),
     [
-        ("a.txt", TUM, "a TUM trajectory"),
-        ("a.tum", "# timestamp tx ty tz qx qy qz qw\n" + TUM, "a TUM trajectory"),
-        ("a", "# ground truth\n# file: drop seven\n\n" + TUM, "a TUM trajectory"),
-        ("a.csv", "timestamp,tx,ty,tz,qx,qy,qz,qw\n" + TUM.replace(" ", ","), "a TUM trajectory"),
-        ("a.log", ECHO, "PoseStamped"),
-        ("a.csv", ECHO.replace("map", ""), "PoseStamped"),
-        ("a.dat", WITH_COVARIANCE, "PoseWithCovarianceStamped"),
-        ("a.csv", TRANSFORM, "TransformStamped"),
-        ("a.csv", ODOMETRY, "Odometry"),
-        ("a.sto", STO.format(""), "of OpenSim"),
-        ("a.mot", STO.format("\t\t\t"), "of OpenSim"),
+        ("a.txt", TUM, TUM_SAID),
+        ("a.tum", "# timestamp tx ty tz qx qy qz qw\n" + TUM, TUM_SAID),
+        ("a", "# ground truth\n# file: drop seven\n\n" + TUM, TUM_SAID),
+        ("a.csv", "timestamp,tx,ty,tz,qx,qy,qz,qw\n" + TUM.replace(" ", ","), TUM_SAID),
+        ("a.log", ECHO, f"{ECHO_SAID}PoseStamped"),
+        ("a.csv", ECHO.replace("map", ""), f"{ECHO_SAID}PoseStamped"),
+        ("a.dat", ECHO.replace(",0.6,0.8\n", f",0.6,0.8,{COVARIANCE}\n"),
+         f"{ECHO_SAID}PoseWithCovarianceStamped"),
+        ("a.csv", ECHO.replace("map", "map,ball"), f"{ECHO_SAID}TransformStamped"),
+        ("a.csv", ODOMETRY, f"{ECHO_SAID}Odometry"),
+        ("a.sto", STO.format(""), STO_SAID),
+        ("a.mot", STO.format("\t\t\t"), STO_SAID),
         ("a.poses", "t x y z\n" + TUM.replace(" 0 0 0.6 0.8", ""), ""),
         ("a.log", "=~=~= PuTTY log =~=~=\r\nready\r\n" + STO.partition("endheader{0}\n")[2], ""),
     ],
-)
+)  # fmt: skip
 def test_places_under_any_name(tmp_path: Path, name: str, text: str, what: str):
     episode = read(tmp_path / name, text)
     (signal,) = episode.signals.values()
     np.testing.assert_allclose(signal.values, PLACES, atol=1e-9)
     steps = (signal.stamps_ns - signal.stamps_ns[0]).tolist()
     assert steps == (TIMES_NS - TIMES_NS[0]).tolist()
-    assert episode.info.source == f"table {name}" + (f", {what}" if what in SAID else SAID_AS[what])
+    assert episode.info.source == f"table {name}{what}"
     assert may_be_log(tmp_path / name) == (Path(name).suffix not in (".tum", ".poses"))
 
 
-SAID = ("a TUM trajectory", "of OpenSim")
-SAID_AS = {
-    "": "",
-    **{
-        kind: f", `ros2 topic echo --csv` of {kind}"
-        for kind in ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry")
-    },
-}
-
-
 def test_matrices_of_kitti_are_frames(tmp_path: Path):
-    (signal,) = read(tmp_path / "00.txt", KITTI).signals.values()
+    kitti = rows(lambda *of: "0 0 1 {:.6f} 1 0 0 {:.6f} 0 1 0 {:.6f}".format(*of[3]))
+    (signal,) = read(tmp_path / "00.txt", kitti).signals.values()
     np.testing.assert_allclose(signal.values, PLACES, atol=1e-9)
     assert signal.counts_frames
-    (signal,) = read(tmp_path / "01.txt", KITTI, ReadOptions(fps=50.0)).signals.values()
+    (signal,) = read(tmp_path / "01.txt", kitti, ReadOptions(fps=50.0)).signals.values()
     assert signal.rate_hz == pytest.approx(50)
 
 
-def test_echoed_joints_are_told_by_their_names(tmp_path: Path):
-    text = rows(lambda s, n, _t, one: f"{s},{n},,a,b,{numbers([*one, *-one], ',')}")
-    signals = read(tmp_path / "a.csv", text).signals
+def test_echoes_of_joints_of_bare_places_and_of_two_frames(tmp_path: Path):
+    path = tmp_path / "a.csv"
+    joints = rows(lambda s, n, _t, one: f"{s},{n},,a,b,{numbers([*one, *-one], ',')}")
+    signals = read(path, joints).signals
     np.testing.assert_allclose(signals["joints.position"].values, PLACES[:, :2])
     np.testing.assert_allclose(signals["joints.effort"].values, -PLACES[:, 1:])
     assert signals["joints.effort"].columns == ("a", "b")
-
-
-def test_what_an_echo_does_not_tell_is_asked_for_by_a_line_that_works(tmp_path: Path):
-    text = rows(lambda s, n, _t, one: f"{s},{n},map,{numbers(one, ',')}")
-    told = refusal(tmp_path / "a.csv", text)
+    bare = rows(lambda s, n, _t, one: f"{s},{n},map,{numbers(one, ',')}")
+    told = refusal(path, bare)  # asks by a line that works
     assert told.endswith("--columns x=4,y=5,z=6")
     columns = ReadOptions(columns=columns_of(told.rpartition(" ")[2]))
-    (signal,) = read(tmp_path / "a.csv", text, columns).signals.values()
+    (signal,) = read(path, bare, columns).signals.values()
     np.testing.assert_allclose(signal.values, PLACES)
     assert signal.stamps_ns.tolist() == TIMES_NS.tolist()
-
-
-def test_rows_of_two_frames_are_no_track(tmp_path: Path):
-    text = ECHO.replace("map", "other", 40) + ECHO.replace("map", "b")
-    told = refusal(tmp_path / "a.csv", text)
+    told = refusal(path, ECHO.replace("map", "other", 40) + ECHO.replace("map", "b"))
     assert "line 31 is of 'b', those before it of 'other'" in told
     subprocess.run(told.rpartition("example: ")[2], shell=True, cwd=tmp_path, check=True)
     assert len(read_episode(tmp_path / "one.csv").signals["track"].values) == 30
-
-
-def test_numbers_that_are_no_turns_are_no_trajectory(tmp_path: Path):
-    text = TUM.replace("0.6 0.8", "0.6 0.9")
-    assert "has no line that names its columns" in refusal(tmp_path / "a.txt", text)
-    text = "t fx fy fz a b c d\n" + TUM
-    assert "holds no track" in refusal(tmp_path / "a.txt", text)
 
 
 @pytest.mark.parametrize(("degrees", "scale"), [("no", 1.0), ("yes", np.pi / 180)])
@@ -144,37 +131,24 @@ def test_opensim_s_angles_are_in_what_its_head_says(tmp_path: Path, degrees: str
     episode = read(tmp_path / "a.mot", head + "time\tknee_angle\n0\t30\n.1\t60\n.2\t90\n")
     (signal,) = episode.signals.values()
     np.testing.assert_allclose(signal.values[:, 0], np.array([30, 60, 90]) * scale)
-
-
-def test_opensim_s_table_that_is_cut_or_of_velocities_is_said(tmp_path: Path):
     cut = read(tmp_path / "a.sto", "".join(STO.format("").splitlines(keepends=True)[:-5]))
     assert cut.losses == ("it says that it has 30 rows, and has 25",)
-    told = refusal(tmp_path / "v.sto", STO.format("").replace("Ball\n", "Velocities\n", 1))
-    assert "OpenSim's table of 'Velocities'" in told
 
 
-def deeplabcut(*, individuals: bool) -> str:
+@pytest.mark.parametrize("individuals", [False, True])
+def test_deeplabcut_s_three_rows_of_names(tmp_path: Path, individuals: bool):
     heads = {"scorer": ["DLC"] * 6, "individuals": ["one"] * 3 + ["two"] * 3}
     heads |= {"bodyparts": ["ball"] * 3 + ["hand"] * 3, "coords": ["x", "y", "likelihood"] * 2}
     if not individuals:
         del heads["individuals"]
     text = "".join(f"{name},{','.join(cells)}\n" for name, cells in heads.items())
-    sure = [0.99] * 20 + [0.3] * 10
-    return text + "".join(
-        f"{at},{x:.6f},{y:.6f},0.99,{x:.6f},{y:.6f},{sure[at]}\n"
-        for at, (x, y, _) in enumerate(PLACES)
-    )
-
-
-@pytest.mark.parametrize("individuals", [False, True])
-def test_deeplabcut_s_three_rows_of_names(tmp_path: Path, individuals: bool):
-    episode = read(tmp_path / "a.csv", deeplabcut(individuals=individuals))
-    names = ["one.ball", "two.hand"] if individuals else ["ball", "hand"]
-    assert list(episode.signals) == names
+    for at, (x, y, _) in enumerate(PLACES):
+        text += f"{at},{x:.6f},{y:.6f},0.99,{x:.6f},{y:.6f},{0.99 if at < 20 else 0.3}\n"
+    episode = read(tmp_path / "a.csv", text)
+    assert list(episode.signals) == (["one.ball", "two.hand"] if individuals else ["ball", "hand"])
     ball, hand = episode.signals.values()
     np.testing.assert_allclose(ball.values[:, :2], PLACES[:, :2])
-    assert (ball.unit, ball.counts_frames) == ("px", True)
-    assert len(hand.values) == 20
+    assert (ball.unit, ball.counts_frames, len(hand.values)) == ("px", True, 20)
     assert "10 places with a likelihood below 0.6 were left out" in episode.warnings
 
 
@@ -202,26 +176,22 @@ def test_sleap_s_instances_are_in_pixels(tmp_path: Path, tracks: tuple[str, ...]
 )
 def test_lists_in_cells_are_columns(tmp_path: Path, names: str, mark: str, form: str):
     scale = 1000.0 if "mm" in names else 1.0
-    rows = "".join(
-        f"{at / 100}{mark}{form.format(*(scale * one))}{mark}red\n" for at, one in enumerate(PLACES)
-    )
-    (signal,) = read(tmp_path / "a.csv", f"{names}\n{rows}").signals.values()
+    lines = [
+        f"{at / 100}{mark}{form.format(*(scale * one))}{mark}red" for at, one in enumerate(PLACES)
+    ]
+    (signal,) = read(tmp_path / "a.csv", "\n".join([names, *lines])).signals.values()
     np.testing.assert_allclose(signal.values, PLACES, atol=1e-12)
     assert signal.unit == ("m" if "mm" in names else "")
-
-
-def test_a_list_that_breaks_off_costs_its_row(tmp_path: Path):
-    rows = "".join(f'{at / 100},"[{at}, 2, 3]"\n' for at in range(30))
-    episode = read(tmp_path / "a.csv", f"t,position\n{rows}".replace("[7, 2, 3]", "[7, 2"))
+    lines[7] = lines[7].partition("]")[0] + '"'  # breaks off, which costs its row
+    episode = read(tmp_path / "a.csv", "\n".join([names, *lines]))
     assert len(next(iter(episode.signals.values())).values) == 29
     assert "1 of 30 rows" in episode.losses[0]
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "cp1252"])
 def test_encodings(tmp_path: Path, encoding: str):
-    text = "Drop in Köln, µ\nt (s),x (m),y (m),z (m)\n" + TUM.replace(" ", ",").replace(
-        ",0,0,0.6,0.8", ""
-    )
+    bare = TUM.replace(" ", ",").replace(",0,0,0.6,0.8", "")
+    text = f"Drop in Köln, µ\nt (s),x (m),y (m),z (m)\n{bare}"
     (signal,) = read(tmp_path / "a.dat", text.encode(encoding)).signals.values()
     np.testing.assert_allclose(signal.values, PLACES, atol=1e-9)
 
@@ -232,14 +202,22 @@ def test_json_under_another_name(tmp_path: Path):
     np.testing.assert_allclose(signal.values[:, 2], PLACES[:, 2])
 
 
+HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
 @pytest.mark.parametrize(
     ("name", "data", "what", "remedy"),
     [
-        ("a.h5", b"\x89HDF\r\n\x1a\n" + bytes(600), "an HDF5 file that is not read", "write it"),
-        ("b.h5", bytes(512) + b"\x89HDF\r\n\x1a\n" + bytes(9), "an HDF5 file", "write it again"),
+        ("a.txt", TUM.replace("0.6 0.8", "0.6 0.9").encode(), "no line that names its", "columns"),
+        ("a.txt", b"t fx fy fz a b c d\n" + TUM.encode(), "holds no track", ""),
+        ("v.sto", STO.format("").replace("Ball\n", "Velocities\n", 1).encode(),
+         "OpenSim's table of 'Velocities'", ""),
+        ("a.h5", HDF5 + bytes(600), "an HDF5 file that is not read", "write it"),
+        ("a.dat", HDF5 + bytes(1000), "is an HDF5 file that is not read", ""),
+        ("b.h5", bytes(512) + HDF5 + bytes(9), "an HDF5 file", "write it again"),
         ("a.mat", b"MATLAB 7.3 MAT-file".ljust(600), "a MATLAB file that is not read", "-v7"),
-        ("a.slp", b"\x89HDF\r\n\x1a\n" + bytes(600), "a project of SLEAP", "Analysis CSV"),
-        ("p.h5", b"\x89HDF\r\n\x1a\n" + bytes(99) + b"pandas_type", "an HDF5", "read_hdf"),
+        ("a.slp", HDF5 + bytes(600), "a project of SLEAP", "Analysis CSV"),
+        ("p.h5", HDF5 + bytes(99) + b"pandas_type", "an HDF5", "read_hdf"),
         ("a.mf4", b"MDF     4.10    " + bytes(99), "a measurement of ASAM (MDF)", "asammdf"),
         ("a.nc", b"CDF\x01" + bytes(99), "a NetCDF file", "xarray"),
         ("a.feather", b"FEA1\0\0" + bytes(99), "a Feather file of version 1", "read_feather"),
@@ -255,14 +233,19 @@ def test_json_under_another_name(tmp_path: Path):
         ("a.yaml", b"header:\n  stamp:\n    sec: 1\n", "prints", "--csv"),
         ("a.json", b'{"task": 1, "verdict": 2, "provenance": {}}', "a tuning", "the log it is of"),
         ("notes.log", b"the ball was red\nand the floor hard\n", "is text in which", "t,x,y,z"),
+        ("a.dat", b"\x7fELF" + bytes(1000), "is a program", ""),
+        ("a.dat", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(1000), "a file of an office pro", ""),
+        ("a.dat", b"version https://git-lfs.github.com/spec/v1\n", "", "git lfs pull"),
+        ("a.dat", bytes(1100), "nothing but zeros", ""),
     ],
-)
+)  # fmt: skip
 def test_what_is_not_read_is_called_what_it_is(
     tmp_path: Path, name: str, data: bytes, what: str, remedy: str
 ):
     told = refusal(tmp_path / name, data)
     assert what in told
     assert remedy in told.partition("; ")[2]
+    assert "video" not in told or name == "notes.log"
 
 
 @pytest.mark.parametrize("name", ["body.sto", "tum_hash.txt", "ros2_echo.csv", "dlc.csv"])
@@ -272,3 +255,63 @@ def test_layouts_of_others(name: str):
         pytest.skip(f"needs {name}, which others made and which is not part of the project")
     signal = next(iter(read_episode(path).signals.values()))
     assert len(signal.values) == 400
+
+
+NEEDS = {".xlsx": "python_calamine", ".parquet": "pyarrow"}
+
+
+def write(path: Path, table: pd.DataFrame) -> None:
+    """Write a table in the format that a name says."""
+    if path.suffix in NEEDS:
+        pytest.importorskip(NEEDS[path.suffix])
+    if path.suffix == ".csv":
+        table.to_csv(path, index=False)
+    elif path.suffix == ".xlsx":
+        write_xlsx(path, {"S": [list(table), *table.to_numpy().tolist()]})
+    elif path.suffix == ".parquet":
+        table.to_parquet(path)
+    elif path.suffix == ".jsonl":
+        path.write_text("\n".join(map(json.dumps, table.to_dict("records"))))
+    else:
+        arrays = {name: table[name].to_numpy() for name in table}
+        arrays = {
+            name: one.astype("U8") if one.dtype == object else one for name, one in arrays.items()
+        }
+        np.savez(path, **arrays)
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.xlsx", "a.parquet", "a.jsonl", "a.npz"])
+def test_a_word_and_a_unit_that_are_added_once_are_read_everywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+):
+    cubit_m, heights = 0.4572, np.linspace(4.0, 1.0, 30)
+    monkeypatch.setitem(names.LENGTHS, "cubit", cubit_m)
+    monkeypatch.setattr(names, "_HEIGHTS", names._HEIGHTS | {"visota"})
+    monkeypatch.setitem(names._RUNS, "asteroid", "object")
+    names._meaning_of.cache_clear()
+    told = [
+        [at / 100, float(height), thing, x]
+        for at, height in enumerate(heights)
+        for thing, x in (("vesta", 0.0), ("juno", 5.0))
+    ]
+    header = ["t (s)", "visota (cubit)", "asteroid", "x (cubit)"]
+    write(tmp_path / name, pd.DataFrame(told, columns=header))
+    signals = read_episode(tmp_path / name).signals
+    names._meaning_of.cache_clear()
+    assert set(signals) == {"track.vesta", "track.juno"}
+    for signal in signals.values():
+        assert signal.unit == "m"
+        np.testing.assert_allclose(signal.values[:, 2], heights * cubit_m)
+        assert signal.stamps_ns[1] == 10_000_000
+    np.testing.assert_allclose(signals["track.juno"].values[:, 0], 5 * cubit_m)
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.xlsx", "a.parquet", "a.jsonl"])
+@pytest.mark.parametrize("has_date", [False, True])
+def test_times_of_the_day_and_dates_are_read_everywhere(tmp_path: Path, name: str, has_date: bool):
+    jump = ["23:59:59.98", "23:59:59.99", "0:00:00.00", "0:00:00.01"]
+    days = ["2026-11-21", "2026-11-21", "2026-11-22", "2026-11-22"]
+    table = pd.DataFrame({"Date": days, "Time": jump, "z": [4.0, 3.0, 2.0, 1.0]})
+    write(tmp_path / name, table if has_date else table.drop(columns="Date"))
+    (signal,) = read_episode(tmp_path / name).signals.values()
+    assert np.diff(signal.stamps_ns).tolist() == [10_000_000] * 3

@@ -5,43 +5,33 @@ from __future__ import annotations
 import base64
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from tests.clips import RATE_HZ, clicks, write_clip
-from tests.tunenet_logs.test_protobuf import foxglove
+from tests.clips import RATE_HZ, write_clip
+from tests.hostile_files import Block, tones, write_blocks
+from tests.strangers import foxglove
+from tests.tunenet_logs.test_sound_files import HALF_BIT, SAMPLES, sound_in
 from tunenet_logs import messages
-from tunenet_logs.copying import check, import_log
-from tunenet_logs.episode import Episode, EpisodeInfo, Sound
+from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.camera.device import VideoFile
 from tunenet_logs.recorders.camera.recording import Limits, record_camera
 from tunenet_logs.terminal import Progress
 
-SAMPLES = clicks([0.6, 1.5])
-HALF_BIT = 0.6 / 32768
 BLOCK = 4800
 PCM = np.round(SAMPLES * 32768).astype("<i2")
-
-
-def sound_in(episode: Episode) -> Sound:
-    sound = episode.sounds()
-    assert sound is not None
-    return sound
+PIECES = [PCM[begin : begin + BLOCK] for begin in range(0, len(PCM), BLOCK)]
 
 
 def record(film: Path, log: Path, rate_hz: float | None = None, limits: Limits | None = None):
-    return record_camera(
-        VideoFile(film, rate_hz),
-        EpisodeInfo(kind="drop"),
-        log,
-        limits=limits or Limits(),
-        overwrite=False,
-        progress=Progress(quiet=True),
-    )
+    quiet = {"overwrite": False, "progress": Progress(quiet=True)}
+    source, info = VideoFile(film, rate_hz), EpisodeInfo(kind="drop")
+    return record_camera(source, info, log, limits=limits or Limits(), **quiet)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("rate_hz", [None, 113.7])
@@ -55,126 +45,93 @@ def test_a_recording_keeps_the_sound_of_its_film(
     summary = record(film, log, rate_hz)
     assert (summary.captured, summary.written, summary.dropped) == (90, 90, 0)
     assert " s of sound" in summary.in_words("frames")
-    options = ReadOptions(fps=rate_hz)
-    before, after = sound_in(read_episode(film, options)), sound_in(read_episode(log))
+    before, after = sound_in(read_episode(film, ReadOptions(fps=rate_hz))), sound_in(log)
     assert after.rate_hz == before.rate_hz
     assert (after.file_rate_hz, after.codec) == (RATE_HZ, "pcm-s16")
     assert abs(after.start_ns - before.start_ns) * 1e-9 < 1 / after.rate_hz
     np.testing.assert_allclose(after.samples, before.samples, atol=HALF_BIT)
 
 
-def test_what_is_before_all_time_is_left_out(tmp_path: Path):
-    film, log = tmp_path / "a.mov", tmp_path / "a.mcap"
+def test_a_recording_has_the_sound_from_the_beginning_of_time_to_its_own_end(tmp_path: Path):
+    film, whole, short = tmp_path / "a.mov", tmp_path / "a.mcap", tmp_path / "b.mcap"
     write_clip(film, SAMPLES, "pcm_s16le", film="mpeg4", late_s=0.0)
-    record(film, log)
-    sound = sound_in(read_episode(log))
-    assert sound.start_ns == 0
-    np.testing.assert_allclose(sound.samples, PCM / 32768, atol=HALF_BIT)
+    record(film, whole)
+    assert sound_in(whole).start_ns == 0
+    np.testing.assert_allclose(sound_in(whole).samples, PCM / 32768, atol=HALF_BIT)
+    record(film, short, limits=Limits(seconds=1.0))
+    assert sound_in(short).lasts_s == pytest.approx(1.0, abs=0.11)
+    assert read_episode(short).info.counts == {"captured": 40, "written": 40, "dropped": 0}
 
 
-def test_a_recording_that_ends_early_ends_its_sound(tmp_path: Path):
-    film, log = tmp_path / "a.mp4", tmp_path / "a.mcap"
-    write_clip(film, SAMPLES, "aac", film="libx264")
-    record(film, log, limits=Limits(seconds=1.0))
-    episode = read_episode(log)
-    assert sound_in(episode).lasts_s == pytest.approx(1.0, abs=0.11)
-    counts = episode.info.counts
-    assert counts["captured"] == counts["written"] == 40
-    assert counts["dropped"] == 0
-
-
-def test_an_import_keeps_the_sound(tmp_path: Path):
-    for name, codec, film in (("a.mp4", "aac", "libx264"), ("a.flac", "flac", "")):
-        path, log = tmp_path / name, (tmp_path / name).with_suffix(".mcap")
-        write_clip(path, SAMPLES, codec, film=film)
-        import_log(path, log, overwrite=True)
-        before, after = sound_in(read_episode(path)), sound_in(read_episode(log))
-        np.testing.assert_allclose(after.samples, before.samples, atol=HALF_BIT)
-        assert (after.start_ns, after.rate_hz) == (before.start_ns, before.rate_hz)
-
-
-def test_an_import_reduces_a_high_rate_once(tmp_path: Path):
-    path, log = tmp_path / "a.wav", tmp_path / "a.mcap"
-    write_clip(path, clicks([0.6], 1.0, 192_000), "pcm_s16le", rate_hz=192_000)
-    import_log(path, log)
-    before, after = sound_in(read_episode(path)), sound_in(read_episode(log))
-    assert before.rate_hz == after.rate_hz == 48_000
-    assert before.file_rate_hz == after.file_rate_hz == 192_000
-    np.testing.assert_allclose(after.samples, before.samples, atol=HALF_BIT)
-
-
-def test_a_check_says_that_a_track_is_silent(tmp_path: Path):
-    path = tmp_path / "a.wav"
-    write_clip(path, np.zeros(RATE_HZ, np.float32), "pcm_s16le")
-    health = check(path, Progress(quiet=True))
-    assert not health.damage
-    assert health.doubts == ("/audio: the sound track is silent",)
-
-
-def audio_fields(number: int, pcm: np.ndarray, rate_hz: int = RATE_HZ, channels: int = 1) -> dict:
+def audio_fields(number: int, pcm: np.ndarray, **changed: Any) -> dict[str, Any]:
     stamp_ns = round(number * BLOCK / RATE_HZ * 1e9) + 10**9
-    return {
+    said = {
         "timestamp": {"sec": stamp_ns // 10**9, "nsec": stamp_ns % 10**9},
         "data": base64.b64encode(pcm.tobytes()).decode(),
         "format": "pcm-s16",
-        "sample_rate": rate_hz,
-        "number_of_channels": channels,
+        "sample_rate": RATE_HZ,
+        "number_of_channels": 1,
     }
+    return {**said, **changed}
 
 
-def write_json(path: Path, blocks: list[dict], step_ns: int = 0) -> Path:
+def write_json(path: Path, blocks: list[dict], step_ns: int = 10**8) -> Path:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
         schema = writer.register_schema("foxglove.RawAudio", "jsonschema", b"{}")
         channel = writer.register_channel("/mic", "json", schema)
         for number, block in enumerate(blocks):
-            log_ns = 10**9 + number * (step_ns or 10**8)
+            log_ns = 10**9 + number * step_ns
             writer.add_message(channel, log_ns, json.dumps(block).encode(), log_ns)
         writer.finish()
     return path
 
 
-def write_protobuf(path: Path, pieces: list[np.ndarray]) -> Path:
+def write_protobuf(path: Path) -> Path:
     from google.protobuf.timestamp_pb2 import Timestamp
     from mcap_protobuf.writer import Writer as ProtobufWriter
 
     with path.open("wb") as file, ProtobufWriter(file) as writer:
-        for number, pcm in enumerate(pieces):
-            fields = audio_fields(number, pcm)
-            stamp = Timestamp(seconds=fields["timestamp"]["sec"], nanos=fields["timestamp"]["nsec"])
-            rest = {name: fields[name] for name in ("format", "sample_rate", "number_of_channels")}
-            audio = foxglove("RawAudio")(timestamp=stamp, data=pcm.tobytes(), **rest)
+        for number, pcm in enumerate(PIECES):
+            fields = audio_fields(number, pcm, data=pcm.tobytes())
+            at = fields.pop("timestamp")
+            stamp = Timestamp(seconds=at["sec"], nanos=at["nsec"])
+            audio = foxglove("RawAudio")(timestamp=stamp, **fields)
             writer.write_message("/mic", audio, 10**9 + number, 10**9 + number)
     return path
 
 
-def pieces_of(pcm: np.ndarray) -> list[np.ndarray]:
-    return [pcm[begin : begin + BLOCK] for begin in range(0, len(pcm), BLOCK)]
+def blocks() -> list[dict[str, Any]]:
+    return [audio_fields(number, pcm) for number, pcm in enumerate(PIECES)]
 
 
 def test_others_logs_in_json_and_protobuf(tmp_path: Path):
-    pieces = pieces_of(PCM)
-    blocks = [audio_fields(number, pcm) for number, pcm in enumerate(pieces)]
-    for path in (
-        write_json(tmp_path / "json.mcap", blocks),
-        write_protobuf(tmp_path / "protobuf.mcap", pieces),
-    ):
-        episode = read_episode(path)
-        assert episode.sound_topics == ("/mic",)
-        sound = sound_in(episode)
+    text = messages.definition(messages.RAW_AUDIO)  # what we write is what Foxglove defines
+    fields = [line.split()[1] for line in text.splitlines()[:5]]
+    assert fields == [field.name for field in foxglove("RawAudio").DESCRIPTOR.fields]
+    for path in (write_json(tmp_path / "a.mcap", blocks()), write_protobuf(tmp_path / "b.mcap")):
+        assert read_episode(path).sound_topics == ("/mic",)
+        sound = sound_in(path)
         assert (sound.start_ns, sound.rate_hz, sound.channels) == (10**9, RATE_HZ, 1)
         np.testing.assert_array_equal(sound.samples, PCM.astype(np.float32) / 32768)
 
 
-def test_a_message_that_is_lost_leaves_a_hole(tmp_path: Path):
-    blocks = [audio_fields(number, pcm) for number, pcm in enumerate(pieces_of(PCM))]
-    del blocks[3:5]
-    sound = sound_in(read_episode(write_json(tmp_path / "a.mcap", blocks)))
+def test_what_is_lost_leaves_a_hole_and_stamps_far_apart_no_long_silence(tmp_path: Path):
+    path = tmp_path / "a.mcap"
+    sound = sound_in(write_json(path, [*blocks()[:3], *blocks()[5:]]))
     kept = PCM.astype(np.float32) / 32768
     kept[3 * BLOCK : 5 * BLOCK] = 0
     np.testing.assert_array_equal(sound.samples, kept)
     assert sound.warnings == ("1 hole in the sound, 0.20 s in all",)
+    other = [*blocks()[:1], blocks()[1] | {"sample_rate": 44_100}, *blocks()[2:]]
+    sound = sound_in(write_json(path, other))
+    assert len(sound.samples) == len(PCM)
+    assert "1 messages of another rate were left out" in sound.warnings
+    far = [audio_fields(0, PIECES[0]), audio_fields(360_000, PIECES[0])]
+    sound = sound_in(write_json(path, far, step_ns=36_000 * 10**9))
+    assert len(sound.samples) == 600 * RATE_HZ
+    assert any("10 minutes are enough" in said for said in sound.warnings)
 
 
 @pytest.mark.parametrize(
@@ -190,31 +147,40 @@ def test_a_message_that_is_lost_leaves_a_hole(tmp_path: Path):
         ({"data": "####"}, "damaged"),
     ],
 )
-def test_messages_that_nobody_heard(tmp_path: Path, changed: dict, says: str):
-    blocks = [{**audio_fields(0, PCM[:BLOCK]), **changed}] * 3
-    episode = read_episode(write_json(tmp_path / "a.mcap", blocks))
+def test_messages_that_nobody_heard(tmp_path: Path, changed: dict[str, Any], says: str):
+    sent = [audio_fields(0, PIECES[0], **changed)] * 3
+    episode = read_episode(write_json(tmp_path / "a.mcap", sent))
     assert not episode.sound_topics
     assert episode.sounds() is None
     assert says in (episode.channels[0].skipped or "")
 
 
-def test_one_bad_message_is_left_out(tmp_path: Path):
-    blocks = [audio_fields(number, pcm) for number, pcm in enumerate(pieces_of(PCM))]
-    blocks[1] |= {"sample_rate": 44_100}
-    sound = sound_in(read_episode(write_json(tmp_path / "a.mcap", blocks)))
-    assert len(sound.samples) == len(PCM)
-    assert "1 messages of another rate were left out" in sound.warnings
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"rate_hz": 0}, "claims 0 samples a second"),
+        ({"rate_hz": 2**32 - 1}, "claims 4294967295 samples a second"),
+        ({"channels": 0}, "claims 0 channels"),
+        ({"channels": 2**32 - 1}, "claims 4294967295 channels"),
+        ({"channels": 7}, "9600 bytes are no whole samples of 7 channels"),
+        ({"pcm": b"\1"}, "1 bytes are no whole samples of 1 channels"),
+    ],
+)
+def test_messages_that_claim_what_cannot_be(tmp_path: Path, changed: dict[str, Any], says: str):
+    good = [Block(10**9 + number * 10**8, tones(0.1)) for number in range(5)]
+    bad, path = good[2]._replace(**changed), tmp_path / "a.mcap"
+    episode = read_episode(write_blocks(path, {"/mic": [bad]}))
+    assert episode.sounds() is None
+    assert says in (episode.channels[0].skipped or "")
+    sound = sound_in(write_blocks(path, {"/mic": [*good[:2], bad, *good[3:]]}))
+    assert len(sound.samples) == 5 * 4800
+    assert sound.warnings == ("1 hole in the sound, 0.10 s in all",)
+    assert any("/mic: 1 " in one and says in one for one in read_episode(path).warnings)
 
 
-def test_stamps_far_apart_make_no_long_silence(tmp_path: Path):
-    blocks = [audio_fields(0, PCM[:BLOCK]), audio_fields(360_000, PCM[:BLOCK])]
-    path = write_json(tmp_path / "a.mcap", blocks, step_ns=36_000 * 10**9)
-    sound = sound_in(read_episode(path))
-    assert len(sound.samples) == 600 * RATE_HZ
-    assert any("10 minutes are enough" in said for said in sound.warnings)
-
-
-def test_what_we_write_is_what_foxglove_defines():
-    text = messages.definition(messages.RAW_AUDIO)
-    fields = [line.split()[1] for line in text.splitlines()[:5]]
-    assert fields == [field.name for field in foxglove("RawAudio").DESCRIPTOR.fields]
+def test_a_message_of_64_channels(tmp_path: Path):
+    sent = [Block(10**9, tones(0.1, channels=64), channels=64)]
+    sound = sound_in(write_blocks(tmp_path / "a.mcap", {"/mic": sent}))
+    assert sound.channels == 64
+    one = np.frombuffer(tones(0.1), "<i2").astype(np.float32) / 32768
+    np.testing.assert_allclose(sound.samples, one, atol=1e-6)

@@ -1,40 +1,36 @@
-"""Times and units of tables: exact, in whatever way they are written."""
+"""Times and units of tables, exact in whatever way they are written; runs and things apart."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.conftest import real
 from tests.tunenet_logs.test_csv_table import XYZ, one, read
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.columns.cells import exact_ns
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 
 
 @pytest.mark.parametrize(
-    ("text", "nanoseconds"),
+    ("text", "stamps"),
     [
-        ("2026-11-21T10:00:00.008333Z", 1_795_255_200_008_333_000),
-        ("2026-11-21 10:00:00.008333333Z", 1_795_255_200_008_333_333),
-        ("2026-11-21T11:00:00.5+01:00", 1_795_255_200_500_000_000),
-        ("2026-11-21 10:00+0000", 1_795_255_200_000_000_000),
-        ("0.008 sec", 8_000_000),
-        ("1.5 ms", 1_500_000),
+        ("2026-11-21T10:00:00.008333Z", [1_795_255_200_008_333_000]),
+        ("2026-11-21 10:00:00.008333333Z", [1_795_255_200_008_333_333]),
+        ("2026-11-21T11:00:00.5+01:00", [1_795_255_200_500_000_000]),
+        ("2026-11-21 10:00+0000", [1_795_255_200_000_000_000]),
+        ("0.008 sec", [8_000_000]),
+        ("1.5 ms", [1_500_000]),
     ],
 )
-def test_times_that_say_what_they_are(tmp_path: Path, text: str, nanoseconds: int):
+def test_times_that_say_what_they_are(tmp_path: Path, text: str, stamps: list[int]):
     episode = read(tmp_path, f"timestamp,z\n{text},1\n")
-    assert episode.signals["track"].stamps_ns.tolist() == [nanoseconds]
+    assert episode.signals["track"].stamps_ns.tolist() == stamps
     assert not episode.warnings
-
-
-def test_a_date_without_a_zone_is_taken_as_utc(tmp_path: Path):
-    text = "".join(f"2026-11-21 10:00:{n:02},{n}\n" for n in (8, 16, 24))
-    episode = read(tmp_path, "timestamp,z\n" + text)
-    assert episode.signals["track"].stamps_ns[0] == 1_795_255_208_000_000_000
-    assert episode.warnings == ("'timestamp' names no time zone and was taken as UTC",)
 
 
 @pytest.mark.parametrize(
@@ -51,12 +47,6 @@ def test_thousands_that_are_set_apart(tmp_path: Path, text: str):
     signal = one(tmp_path, text)
     assert signal.stamps_ns.tolist() == [8_500_000, 1_008_500_000]
     np.testing.assert_allclose(signal.values[:, 2], [1.05, 0.9995])
-
-
-def test_three_decimals_are_no_thousands(tmp_path: Path):
-    assert one(tmp_path, "t;z\n0,5;1,050\n1,125;2,000\n").values[:, 2].tolist() == [1.05, 2]
-    assert one(tmp_path, "t;z\n0.5;1.050\n1.125;2.000\n").values[:, 2].tolist() == [1.05, 2]
-    assert one(tmp_path, "t,z\n0,1.050\n1,2.000\n").values[:, 2].tolist() == [1.05, 2]
 
 
 @pytest.mark.parametrize(
@@ -89,10 +79,35 @@ def test_units_of_joints_below_their_names(tmp_path: Path):
     assert any("unit" in (one.skipped or "") for one in episode.channels)
 
 
-def test_times_before_zero_begin_at_zero(tmp_path: Path):
-    episode = read(tmp_path, "t,z\n-0.5,1\n0.1,2\n")
-    assert episode.signals["track"].stamps_ns.tolist() == [0, 600_000_000]
-    assert any("-0.5 s" in one for one in episode.warnings)
+SPREADSHEET = "".join(f"{46328.4375 + n / 8_640_000:.10f},{n}\n" for n in range(50))
+NO_ZONE = "".join(f"2026-11-21 10:00:{n:02},{n}\n" for n in (8, 16, 24))
+
+
+@pytest.mark.parametrize(
+    ("text", "first_ns", "rate_hz", "says"),
+    [
+        (f"timestamp,z\n{NO_ZONE}", 1_795_255_208_000_000_000, 0.125,
+         "'timestamp' names no time zone and was taken as UTC"),
+        ("t,z\n-0.5,1\n0.1,2\n", 0, 1 / 0.6, "-0.5 s"),  # before zero
+        (f"Time,z\n{SPREADSHEET}", None, 100, "days of a spreadsheet"),
+        ("t,z\n0,1\n8,2\n16,3\n", 0, None, "unit"),
+        ("t_ms,z\n0,1\n8,2\n16,3\n", 0, 125, ""),
+        *((f"t,z\n1700000000{digits},1\n1700000001{digits},1\n", None, 1, None)
+          for digits in ("", "123", "123456", "123456789")),  # since 1970: by their size
+    ],
+)  # fmt: skip
+def test_what_is_taken_for_granted_is_said(
+    tmp_path: Path, text: str, first_ns: int | None, rate_hz: float | None, says: str | None
+):
+    episode = read(tmp_path, text)
+    signal = episode.signals["track"]
+    assert signal.stamps_ns[0] in (first_ns, signal.stamps_ns[0] if first_ns is None else first_ns)
+    if rate_hz:
+        assert signal.rate_hz == pytest.approx(rate_hz, rel=1e-3)
+    if says is not None:
+        assert any(says in one for one in episode.warnings) == bool(says)
+    if "17000" in text:
+        assert signal.stamps_ns[0] // 10**9 == 1_700_000_000
 
 
 @pytest.mark.parametrize(
@@ -103,29 +118,16 @@ def test_times_before_zero_begin_at_zero(tmp_path: Path):
         ("1700000000123456.789", -6, 1_700_000_000_123_456_789),
         ("1.700000000123456789e9", 0, 1_700_000_000_123_456_789),
         ("0.1", -9, 0),
+        *((text, 0, None) for text in ("", "x", "nan", "inf", "1e999999999", "9" * 30, "9" * 1000)),
+        ("1e20", 0, None),
     ],
 )
-def test_times_are_exact(text: str, power: int, nanoseconds: int):
-    assert exact_ns(text, power) == nanoseconds
-
-
-@pytest.mark.parametrize(
-    "text", ["", "x", "nan", "inf", "1e999999999", "9" * 30, "9" * 1000, "1e20"]
-)
-def test_what_is_no_time_is_refused(text: str):
-    with pytest.raises(ValueError):  # noqa: PT011 (no user sees it)
-        exact_ns(text, 0)
-
-
-@pytest.mark.parametrize("digits", ["", "123", "123456", "123456789"])
-def test_units_of_times_since_1970_go_by_their_size(tmp_path: Path, digits: str):
-    signal = one(tmp_path, f"t,z\n1700000000{digits},1\n")
-    assert signal.stamps_ns[0] // 10**9 == 1_700_000_000
-
-
-def test_a_doubtful_unit_is_named(tmp_path: Path):
-    assert any("unit" in one for one in read(tmp_path, "t,z\n0,1\n8,2\n16,3\n").warnings)
-    assert not read(tmp_path, "t_ms,z\n0,1\n8,2\n16,3\n").warnings
+def test_times_are_exact_or_none(text: str, power: int, nanoseconds: int | None):
+    if nanoseconds is None:
+        with pytest.raises(ValueError):  # noqa: PT011 (no user sees it)
+            exact_ns(text, power)
+    else:
+        assert exact_ns(text, power) == nanoseconds
 
 
 UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
@@ -164,21 +166,6 @@ def test_units_that_no_name_tells_go_by_the_steps(
     assert doubted == (unit != "s" and start_s < 1e9)
 
 
-def test_days_of_a_spreadsheet_are_times(tmp_path: Path):
-    rows = "".join(f"{46328.4375 + n / 8_640_000:.10f},{n}\n" for n in range(50))
-    episode = read(tmp_path, "Time,z\n" + rows)
-    assert episode.signals["track"].rate_hz == pytest.approx(100, rel=1e-3)
-    assert any("days of a spreadsheet" in one for one in episode.warnings)
-
-
-def test_steps_that_no_log_has_are_named(tmp_path: Path):
-    rows = "".join(f"{n / 8_640_000:.12f},{n}\n" for n in range(50))
-    with pytest.raises(
-        LogError, match=r"'Time' rises by 1.2e-07 .*too fast to be s; write it in s"
-    ):
-        read(tmp_path, "Time,z\n" + rows)
-
-
 @pytest.mark.parametrize(
     ("header", "cells", "seconds"),
     [
@@ -202,15 +189,145 @@ def test_dates_and_times_of_the_day(
 @pytest.mark.parametrize("name", ["Höhe (µm)", "hauteur / um", "h in µm"])
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
 def test_units_are_kept_in_every_encoding(tmp_path: Path, encoding: str, name: str):
-    text = f"Zeit (µs);{name}\n0;1000000\n10000;2000000\n"
-    signal = one(tmp_path, text.encode(encoding))
+    signal = one(tmp_path, f"Zeit (µs);{name}\n0;1000000\n10000;2000000\n".encode(encoding))
     assert (signal.stamps_ns.tolist(), signal.unit) == ([0, 10_000_000], "m")
     assert signal.values[:, 2].tolist() == pytest.approx([1, 2])
 
 
-def test_stamps_that_are_cut_short_are_named(tmp_path: Path):
-    rows = "".join(f"{1.79e9 + n / 100:.6e},{n}\n" for n in range(50))
-    with pytest.raises(
-        LogError, match=r"49 of 50 rows .* the stamps have too few digits; write times with all"
-    ):
-        read(tmp_path, "time,z\n" + rows)
+# Runs and things of one table.
+STEPS = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]
+IN_ORDER = "".join(f"{n / 10},{n}\n" for n in range(20))
+LATER = "2.1,1\n2.2,1\n2.3,1\n2.4,1\n2.5,1\n"
+BOTH = {"track.run1", "track.run2"}
+
+
+def stacked(separator: str = "") -> str:
+    rows = ["".join(f"{t + start:g},{1 - t:g}\n" for t in STEPS) for start in (0, 0.01)]
+    return "t,z\n" + separator.join(rows)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        *((f"{name},t,z\n1,0,1\n1,0.1,2\n2,0,3\n2,0.1,4\n", BOTH) for name in (
+            "Drop #", "Run", "run", "trial", "Trial #", "take", "run_id")),
+        ("body,t,x,y\nball,0,1,2\nHand A,0,5,6\nball,0.1,1,3\nHand A,0.1,5,7\n",
+         {"track.ball", "track.hand_a"}),
+        ("t,Run,q1,tau1\n0,Run 1,0,0\n1,Run 1,0,0\n0,Run 2,0,0\n1,Run 2,0,0\n",
+         {f"joints.run{n}.{part}" for n in (1, 2) for part in ("position", "effort")}),
+        # Numbers of what goes on are no other run.
+        ("run,t,z\n1,0,1\n1,0.1,2\n2,0.2,3\n2,0.3,4\n", {"track"}),
+        ("id,t,z\n1,0,1\n2,0.1,2\n3,0.1,3\n4,0.3,4\n", {"track"}),
+        # Times that begin again, and a few rows out of order.
+        *((stacked(between), BOTH) for between in ("", "\n", "t,z\n", "Run 2\nt,z\n", "Run 2,\n")),
+        *((f"t,z\n{IN_ORDER}{stray}{LATER}", {"track"}) for stray in (
+            "0,9\n", "0.1,9\n0.2,9\n", "0.45,9\n")),
+        ("t,x-ball,y-ball,x-axis,y score\n0,1,2,3,4\n1,2,3,4,5\n", {"ball"}),
+        ("trial,ball,t,z\n" + "".join(f"{run},{ball},{n / 10},{run + n}\n" for run in (1, 2)
+                                      for n in range(9) for ball in "ab"),
+         {f"track.run{run}.{ball}" for run in (1, 2) for ball in "ab"}),
+        # A label of what happens is no thing.
+        ("t,label,z\n" + "".join(f"{n / 10},{'fall' if n < 20 else 'rest'},{n}\n"
+                                 for n in range(40)), {"track"}),
+    ],
+)  # fmt: skip
+def test_runs_and_things_are_apart(tmp_path: Path, text: str, names: set[str]):
+    episode = read(tmp_path, text)
+    assert set(episode.signals) == names
+    if names == BOTH:
+        first, second = (len(one.values) for one in episode.signals.values())
+        assert first == second == (6 if text.startswith("t,") else 2)
+        assert [one.messages for one in episode.channels] == [first, second]
+        assert not episode.losses
+    if text.startswith("Drop"):
+        values = [one.values[:, 2].tolist() for one in episode.signals.values()]
+        assert (values, episode.warnings) == ([[1, 2], [3, 4]], ())
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "t1,z1,t2,z2",
+        "Time 1,Height 1,Time 2,Height 2",
+        "t,z,t,z",
+        "Time (s),Height (m),Time (s),Height (m)",
+        "Time (s) Run #1,Position (m) Run #1,Time (s) Run #2,Position (m) Run #2",
+        "Data Set 1:Time(s),Data Set 1:Position(m),Data Set 2:Time(s),Data Set 2:Position(m)",
+    ],
+)
+def test_runs_side_by_side(tmp_path: Path, header: str):
+    episode = read(tmp_path, f"{header}\n0,1,0.5,3\n0.1,2,0.7,4\n0.2,3,,\n")
+    first, second = episode.signals["track.run1"], episode.signals["track.run2"]
+    assert first.values[:, 2].tolist() == [1, 2, 3]
+    assert second.stamps_ns.tolist() == [500_000_000, 700_000_000]
+    assert not episode.losses
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("run,t,z\n" + "".join(f"{n},0,1\n{n},1,1\n" for n in range(501)),
+         "501 runs, over the limit of 500"),
+        ("Time,z\n" + "".join(f"{n / 8_640_000:.12f},{n}\n" for n in range(50)),
+         r"'Time' rises by 1.2e-07 .*too fast to be s; write it in s"),
+        ("time,z\n" + "".join(f"{1.79e9 + n / 100:.6e},{n}\n" for n in range(50)),
+         r"49 of 50 rows .* the stamps have too few digits; write times with all"),
+    ],
+)  # fmt: skip
+def test_times_and_runs_that_no_log_has(tmp_path: Path, text: str, says: str):
+    with pytest.raises(LogError, match=says):
+        read(tmp_path, text)
+
+
+def test_drops_from_a_tower():
+    signals = read_episode(real("labs/Ball_drops_data.csv")).signals
+    lengths = {name: len(one.values) for name, one in signals.items()}
+    assert lengths == {"track.run1": 51, "track.run2": 56}
+
+
+THINGS = [
+    *("name", "label", "entity", "rigid_body", "Ball", "object_id", "track_name"),
+    *("colour", "Serial"),  # what no vocabulary knows
+]
+
+
+def woven(name: str, labels: tuple[str, str], count: int = 40) -> list[dict[str, object]]:
+    """Rows of two things at the same times: one at x = 0, the other at x = 5."""
+    return [
+        {"t": n / 100, name: label, "x": x, "z": 1 - n / 100}
+        for n in range(count)
+        for label, x in zip(labels, (0, 5), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("labels", [("B2", "A"), ("2", "7")])
+@pytest.mark.parametrize("name", THINGS)
+def test_things_of_one_time_are_told_apart_by_any_column(
+    tmp_path: Path, name: str, labels: tuple[str, str]
+):
+    rows = woven(name, labels)
+    text = "\n".join(",".join(map(str, row.values())) for row in [{k: k for k in rows[0]}, *rows])
+    signals = read(tmp_path, text).signals
+    assert [set(one.values[:, 0].tolist()) for one in signals.values()] == [{0}, {5}]
+    assert [len(one.values) for one in signals.values()] == [40, 40]
+    if name in THINGS[:-2]:  # the other readers know the same names
+        (tmp_path / "a.jsonl").write_text("\n".join(map(json.dumps, rows)))
+        assert set(read_episode(tmp_path / "a.jsonl").signals) == set(signals)
+
+
+@pytest.mark.parametrize("kind", ["csv", "jsonl"])
+def test_things_that_nothing_tells_apart_are_asked_about(tmp_path: Path, kind: str):
+    rows = woven("name", ("a", "b"))
+    path = tmp_path / f"a.{kind}"
+    plain = [{key: row[key] for key in ("t", "x", "z")} for row in rows]
+    if kind == "csv":
+        path.write_text("t,x,z\n" + "".join(f"{row['t']},{row['x']},{row['z']}\n" for row in rows))
+    else:
+        path.write_text("\n".join(map(json.dumps, plain)))
+    with pytest.raises(LogError, match=r"40 of 80 rows have the stamp of another.*object=NAME"):
+        read_episode(path)
+    if kind == "jsonl":
+        plain = [{**row, "of": one["name"]} for row, one in zip(plain, rows, strict=True)]
+        path.write_text("\n".join(map(json.dumps, plain)))
+        for said in (ReadOptions(), ReadOptions(columns={"object": "of"})):
+            assert set(read_episode(path, said).signals) == {"track.a", "track.b"}

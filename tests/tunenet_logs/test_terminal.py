@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,47 +18,18 @@ from tunenet_logs.writing.writer import EpisodeWriter
 
 HOSTILE = "/b\x1b[31m\nwarning: x\r\t\x9b5m\u202e\u2066\x00\x7f"
 SHOWN = r"/b\x1b[31m\nwarning: x\r\t\x9b5m\u202e\u2066\x00\x7f"
-
-
-def hostile_mcap(path: Path) -> None:
-    write_poses(path, *Stranger(0.7).samples(), topic=HOSTILE)
-
-
-def hostile_bag(path: Path) -> None:
-    write_poses_bag(path, *Stranger(0.7).samples(), topic=HOSTILE)
-
-
-def hostile_type(path: Path) -> None:
-    write_texts(path, f"pkg/msg/{HOSTILE}", [{}], topic=HOSTILE)
-
-
-def hostile_notes(path: Path) -> None:
-    info = EpisodeInfo(
-        kind=HOSTILE,
-        source=HOSTILE,
-        preset=HOSTILE,
-        rig={HOSTILE: 1.0},
-        notes={HOSTILE: HOSTILE},
-    )
-    with EpisodeWriter(path, info, live=False):
-        pass
-
-
-def hostile_table(path: Path) -> None:
-    path.write_text("time,\x1b[31mq\u202e,x\x9b,z\n0,1,2,3\n1,2,3,4\n")
-
-
-def hostile_damage(path: Path) -> None:
-    write_texts(path, "foxglove.PoseInFrame", [{}, {}], topic=HOSTILE)
-
-
-LOGS = {
-    "a.mcap": hostile_mcap,
-    "a.bag": hostile_bag,
-    "type.mcap": hostile_type,
-    "notes.mcap": hostile_notes,
-    "a.csv": hostile_table,
-    "damage.mcap": hostile_damage,
+SAMPLES = Stranger(0.7).samples()
+INFO = EpisodeInfo(
+    kind=HOSTILE, source=HOSTILE, preset=HOSTILE, rig={HOSTILE: 1.0}, notes={HOSTILE: HOSTILE}
+)
+TABLE = "time,\x1b[31mq\u202e,x\x9b,z\n0,1,2,3\n1,2,3,4\n"
+LOGS: dict[str, Callable[[Path], object]] = {
+    "a.mcap": lambda path: write_poses(path, *SAMPLES, topic=HOSTILE),
+    "a.bag": lambda path: write_poses_bag(path, *SAMPLES, topic=HOSTILE),
+    "type.mcap": lambda path: write_texts(path, f"pkg/msg/{HOSTILE}", [{}], topic=HOSTILE),
+    "notes.mcap": lambda path: EpisodeWriter(path, INFO, live=False).close(),
+    "a.csv": lambda path: path.write_text(TABLE),
+    "damage.mcap": lambda path: write_texts(path, "foxglove.PoseInFrame", [{}, {}], topic=HOSTILE),
 }
 
 
@@ -90,10 +62,11 @@ def test_every_command_prints_what_prints(
 
 
 def test_a_hostile_name_is_shown_as_its_escapes(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
-    hostile_mcap(tmp_path / "a.mcap")
-    assert logs(["info", str(tmp_path / "a.mcap")]) == 0
+    log = str(tmp_path / "a.mcap")
+    LOGS["a.mcap"](Path(log))
+    assert logs(["info", log]) == 0
     assert SHOWN in capfd.readouterr().out
-    assert tunenet_tune([str(tmp_path / "a.mcap"), "--topic", "nope"]) == 1
+    assert tunenet_tune([log, "--topic", "nope"]) == 1
     assert f"there is: {SHOWN}" in capfd.readouterr().out
 
 
@@ -103,23 +76,15 @@ def test_one_line_prints_and_leaves_alone_what_prints_already(text: str):
     assert line.isprintable()
     assert one_line(line) == line
     assert line == text or not text.isprintable()
-
-
-def test_a_file_name_that_is_no_text_prints():
     assert one_line(Path("a\udcff.mcap")) == r"a\udcff.mcap"
-    assert one_line("/bäll pose ✓") == "/bäll pose ✓"
 
 
 @pytest.mark.parametrize("length", [1, 59, 60, 61, 241, 5000])
-def test_a_long_name_keeps_its_ends(length: int):
+def test_long_names_keep_their_ends_and_of_many_the_first_are_listed(length: int):
     name = "/a" + "b" * (length - 3) + "/z" if length > 3 else "/"
     short = short_name(name)
     assert len(short) == min(len(name), 60)
     assert (short[0], short[-1]) == (name[0], name[-1])
     assert ("…" in short) == (len(name) > 60)
-
-
-def test_of_very_many_names_the_first_are_listed():
-    assert listed(["a", "b"]) == "a, b"
-    assert listed([]) == ""
+    assert (listed(["a", "b"]), listed([])) == ("a, b", "")
     assert listed(str(one) for one in range(500)).endswith("18, 19 and 480 more")

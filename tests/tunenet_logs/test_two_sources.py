@@ -1,7 +1,8 @@
-"""Two publishers or objects on one topic: told apart or said, and nothing else taken for them."""
+"""Several publishers or bodies on one topic: what is apart stays apart, what is one is one."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from mcap.writer import Writer
 
 from tests.tunenet_logs.any_message_logs import START_NS, STEP_NS, RosLog
 from tunenet_logs.copying import import_log
-from tunenet_logs.episode import Episode
+from tunenet_logs.formats.base import BeyondLimitError
 from tunenet_logs.formats.message_types import JointSample
 from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
@@ -19,6 +20,18 @@ from tunenet_logs.signals import JointRows, PositionRows, two_sources
 COUNT = 600
 SECONDS = np.arange(COUNT) / 240
 RNG = np.random.default_rng(1)
+ABC = ("a", "b", "c")
+
+
+def stamp(row: float) -> int:
+    return START_NS + round(row * STEP_NS)
+
+
+def joint_rows(*samples: JointSample) -> JointRows:
+    rows = JointRows("/joint_states")
+    for sample in samples:
+        rows.add(sample.stamp_ns, sample)
+    return rows
 
 
 def bounces(height_m: float = 1.0) -> np.ndarray:
@@ -76,10 +89,8 @@ def test_two_series_by_turns_are_told_apart(one: np.ndarray, other: np.ndarray, 
         (SECONDS[:, None] * 1e-3 + (np.arange(COUNT) % 2)[:, None] * 1e-3).round(3),
         np.full((COUNT, 3), np.nan),
     ],
-    ids=[
-        "a ball", "in mm", "an arm", "in hundredths", "dithered", "noise", "nothing", "repeated",
-        "outliers", "moved once", "to and fro by a step", "no number",
-    ],
+    ids=["a ball", "in mm", "an arm", "in hundredths", "dithered", "noise", "nothing", "repeated",
+         "outliers", "moved once", "to and fro by a step", "no number"],
 )  # fmt: skip
 def test_one_series_stays_one(values: np.ndarray):
     assert two_sources(values) is None
@@ -89,18 +100,13 @@ def test_one_series_stays_one(values: np.ndarray):
 @pytest.mark.parametrize("is_first", [False, True])
 @pytest.mark.parametrize("later_ns", [0, 4_000_000])
 def test_a_publisher_of_zeros_is_named_and_apart(turn: slice, is_first: bool, later_ns: int):
-    names = ("a", "b", "c")
-    arm = swing() + 2.0
-    rows = JointRows("/joint_states")
+    arm, nothing = swing() + 2.0, np.zeros(3)
+    samples = []
     for row, values in enumerate(arm):
-        stamp_ns = START_NS + row * STEP_NS
-        real = (stamp_ns, JointSample(stamp_ns, names, values, (), 9 * values))
-        nothing = np.zeros(3)
-        stamp_ns += later_ns
-        zero = (stamp_ns, JointSample(stamp_ns, names[turn], nothing, (), nothing))
-        for log_ns, sample in (zero, real) if is_first else (real, zero):
-            rows.add(log_ns, sample)
-    signals, notes = rows.signals()
+        real = JointSample(stamp(row), ABC, values, (), 9 * values)
+        zero = JointSample(stamp(row) + later_ns, ABC[turn], nothing, (), nothing)
+        samples += (zero, real) if is_first else (real, zero)
+    signals, notes = joint_rows(*samples).signals()
     found = {signal.name: signal for signal in signals}
     assert np.array_equal(found["/joint_states.position"].values, arm)
     assert np.array_equal(found["/joint_states.effort"].values, 9 * arm)
@@ -110,107 +116,177 @@ def test_a_publisher_of_zeros_is_named_and_apart(turn: slice, is_first: bool, la
 
 
 def test_a_publisher_that_repeats_another_is_none_of_its_own():
-    rows = JointRows("/joint_states")
+    samples = []
     for row, values in enumerate(swing()):
-        stamp_ns = START_NS + row * STEP_NS
-        rows.add(stamp_ns, JointSample(stamp_ns, ("a", "b", "c"), values))
-        both = JointSample(stamp_ns, ("c", "b", "a", "gripper"), [*values[::-1], 0.1])
-        rows.add(stamp_ns + 1_000_000, both)
-    (position,), notes = rows.signals()
-    assert position.columns == ("a", "b", "c", "gripper")
+        samples.append(JointSample(stamp(row), ABC, values))
+        more = [*values[::-1], 0.1]
+        samples.append(JointSample(stamp(row) + 1_000_000, ("c", "b", "a", "gripper"), more))
+    (position,), notes = joint_rows(*samples).signals()
+    assert position.columns == (*ABC, "gripper")
     assert not notes
 
 
-def test_bodies_of_one_topic_are_apart_by_frame_or_by_turns():
-    left, right = ball(0.2), ball(0.7)
-    for frames in (("left", "right"), ("world", "world")):
-        rows = PositionRows("/pose")
-        for row in range(COUNT):
-            for frame, where in zip(frames, (left[row], right[row]), strict=True):
-                stamp_ns = START_NS + row * STEP_NS
-                rows.add(stamp_ns, [(stamp_ns, "", frame, *where.tolist())])
-        signals, notes = rows.signals()
-        assert [len(one.values) for one in signals] == [COUNT, COUNT]
-        assert signals[0].name == "/pose"
-        assert len(notes) == 1
+def test_joints_of_two_publishers_are_one_sample_or_samples_of_their_own():
+    both = [
+        one
+        for n in range(20)
+        for one in (
+            JointSample(stamp(n), ("a", "b"), [n, -n], [], [1.0, 2.0]),
+            JointSample(stamp(n), ("gripper",), [0.5 * n]),
+        )
+    ]
+    (position, effort), notes = joint_rows(*both).signals()
+    assert position.columns == effort.columns == ("a", "b", "gripper")
+    assert np.array_equal(position.values, [[n, -n, 0.5 * n] for n in range(20)])
+    assert np.isnan(effort.values[:, 2]).all()
+    assert not notes
+    apart = [
+        JointSample(stamp(2 * n + at), (name,), [n])
+        for n in range(20)
+        for at, name in enumerate("ab")
+    ]
+    (position,), _ = joint_rows(*apart).signals()
+    turns = np.tile([[False, True], [True, False]], (20, 1))
+    assert np.array_equal(np.isnan(position.values), turns)
+    twice = [JointSample(stamp(n), ("a",), [n]) for n in range(20)]
+    (position,), notes = joint_rows(*twice, JointSample(stamp(0), ("a",), [99.0])).signals()
+    assert position.values[0, 0] == 0  # the first is kept
+    assert any("already seen" in note for note in notes)
 
 
-def test_a_frame_that_gets_another_name_stays_one_track():
+@pytest.mark.parametrize("separator", ["/", "."])
+def test_names_of_interfaces_are_taken_apart(separator: str):
+    kinds = ("position", "velocity", "effort", "temperature")
+    names = tuple(f"j{joint}{separator}{kind}" for joint in (1, 2) for kind in kinds)
+    sent = (JointSample(stamp(n), names, np.arange(8.0) + n) for n in range(30))
+    (position, velocity, effort), notes = joint_rows(*sent).signals()
+    for signal, first in ((position, 0), (velocity, 1), (effort, 2)):
+        assert signal.columns == ("j1", "j2")
+        assert signal.values[5].tolist() == [first + 5, first + 9]
+    assert position.unit == "rad"
+    (note,) = notes
+    assert "temperature" in note
+
+
+@pytest.mark.parametrize(
+    ("in_message", "given", "expected"),
+    [
+        ((), ("a", "b"), ("a", "b")),
+        ((), ("a", "b", "c"), ("joint1", "joint2")),
+        ((), ("a", "a"), ("joint1", "joint2")),
+        ((), (), ("joint1", "joint2")),
+        (("x", "y"), ("a", "b"), ("x", "y")),
+    ],
+)
+def test_given_names_are_for_joints_without_names_and_as_many(
+    in_message: tuple[str, ...], given: tuple[str, ...], expected: tuple[str, ...]
+):
+    (signal,), _ = joint_rows(JointSample(5, in_message, effort=[1.0, 2.0])).signals(given)
+    assert signal.columns == expected
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
+def test_what_is_no_number_is_missing(value: float):
+    """Infinite too: no ball is there, and no joint."""
+    heights = [value if n == 7 else 1.0 for n in range(20)]
+    joints = joint_rows(
+        *(JointSample(stamp(n), ("a", "b"), [z, 2.0]) for n, z in enumerate(heights))
+    )
+    positions = PositionRows("/ball")
+    for n, z in enumerate(heights):
+        positions.add(0, [(stamp(n), "", "world", 0, 0, z)])
+    for rows, column in ((positions, 2), (joints, 0)):
+        (signal,), _ = rows.signals()
+        gone = np.zeros(signal.values.shape, dtype=bool)
+        gone[7, column] = True
+        assert np.array_equal(np.isnan(signal.values), gone)
+        assert np.isfinite(signal.values[~gone]).all()
+
+
+LEFT, RIGHT = ball(0.2), ball(0.7)
+
+
+def placed(places: Sequence[np.ndarray], frames: Sequence, child: str = "") -> PositionRows:
+    """Rows of bodies, of each a frame or one by row."""
     rows = PositionRows("/pose")
-    for row, where in enumerate(ball(0.2)):
-        frame = "" if row < 7 else "world"
-        rows.add(row, [(START_NS + row * STEP_NS, "", frame, *where.tolist())])
-    (signal,), notes = rows.signals()
-    assert (len(signal.values), signal.frame, notes) == (COUNT, "", [])
+    for row in range(COUNT):
+        for frame, body in zip(frames, places, strict=True):
+            said = frame if isinstance(frame, str) else frame(row)
+            rows.add(stamp(row), [(stamp(row), child, said, *body[row].tolist())])
+    return rows
 
 
-def test_frames_that_count_are_no_frames():
-    rows = PositionRows("/pose")
-    for row, where in enumerate(ball(0.2)):
-        rows.add(row, [(START_NS + row * STEP_NS, "", f"frame{row}", *where.tolist())])
-    assert sum(len(one.values) for one in rows.signals()[0]) == COUNT
+@pytest.mark.parametrize(
+    ("places", "frames", "child", "names", "notes"),
+    [
+        ((LEFT, RIGHT), ("left", "right"), "", ("/pose", None), 1),
+        ((LEFT, RIGHT), ("world", "world"), "", ("/pose", None), 1),
+        ((LEFT, RIGHT), ("world", "camera"), "ball", ("/pose.ball", "/pose.ball@camera"), 1),
+        ((LEFT,), (lambda row: "" if row < 7 else "world",), "", ("/pose",), 0),
+        ((LEFT,), (lambda row: "ab"[row // 300],), "", ("/pose",), 0),
+    ],
+    ids=["frames", "turns", "a body in two frames", "another name", "a change"],
+)
+def test_bodies_of_one_topic(places, frames, child: str, names: tuple, notes: int):
+    signals, said = placed(places, frames, child).signals()
+    assert [len(one.values) for one in signals] == [COUNT] * len(names)
+    assert all(name in (None, one.name) for name, one in zip(names, signals, strict=True))
+    assert len(said) == notes
+    if len(names) == 1:
+        assert signals[0].frame == ""
+    if child:
+        assert "several frames" in said[0]
+
+
+def test_frames_that_count_are_no_frames_and_more_names_than_any_robot_has_are_refused():
+    signals, _ = placed((LEFT,), (lambda row: f"frame{row}",)).signals()
+    assert sum(len(one.values) for one in signals) == COUNT
+    with pytest.raises(BeyondLimitError):  # and are no damage
+        PositionRows("/tf").add(0, [(1, f"frame{n}", "world", 0, 0, 0) for n in range(2000)])
 
 
 def test_odometry_of_two_bodies_is_apart_by_its_children(tmp_path: Path):
     ros = RosLog({})
-    made = ros.make
+    made, kind = ros.make, "nav_msgs/msg/Odometry"
     zero = made("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-    twist = made(
-        "geometry_msgs/msg/TwistWithCovariance",
-        twist=made("geometry_msgs/msg/Twist", linear=zero, angular=zero),
-        covariance=np.zeros(36),
-    )
+    still = made("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+    twist = made("geometry_msgs/msg/TwistWithCovariance", twist=still, covariance=np.zeros(36))
     sent = []
     for row in range(80):
         pose = ros.pose(0.0, 0.0, row / 100 if row % 2 else 1 - row / 100)
-        placed = made("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
+        where = made("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
         child = "ball" if row % 2 else "cube"
         sent.append(
-            made("nav_msgs/msg/Odometry", header=ros.header(row), child_frame_id=child, pose=placed,
-                 twist=twist)
-        )  # fmt: skip
-    ros.write(tmp_path / "a.mcap", {"/odom": ("nav_msgs/msg/Odometry", sent)})
-    assert set(read_episode(tmp_path / "a.mcap").signals) == {"/odom.ball", "/odom.cube"}
-    ros.write(tmp_path / "b.mcap", {"/odom": ("nav_msgs/msg/Odometry", sent[::2])})
-    assert set(read_episode(tmp_path / "b.mcap").signals) == {"/odom"}
-
-
-def two_channels(path: Path) -> Episode:
-    """A topic with two types; what falls is of the second."""
-    ros = RosLog({})
-    poses = [
-        ros.make("geometry_msgs/msg/PoseStamped", header=ros.header(row), pose=ros.pose(1, 2, 3))
-        for row in range(50)
-    ]
-    points = [
-        ros.make(
-            "geometry_msgs/msg/PointStamped", header=ros.header(row), point=ros.point(0, 0, row)
+            made(kind, header=ros.header(row), child_frame_id=child, pose=where, twist=twist)
         )
-        for row in range(50)
-    ]
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start("ros2")
-        for kind, sent in (("PoseStamped", poses), ("PointStamped", points)):
-            name = f"geometry_msgs/msg/{kind}"
-            schema = writer.register_schema(name, "ros2msg", ros.definition(name))
-            channel = writer.register_channel("/vrpn", "cdr", schema)
-            for row, one in enumerate(sent):
-                data = bytes(ros.store.serialize_cdr(one, name))
-                writer.add_message(channel, START_NS + row * STEP_NS, data, 0)
-        writer.finish()
-    return read_episode(path)
+    for some, names in ((sent, {"/odom.ball", "/odom.cube"}), (sent[::2], {"/odom"})):
+        ros.write(tmp_path / "a.mcap", {"/odom": (kind, some)})
+        assert set(read_episode(tmp_path / "a.mcap").signals) == names
 
 
 def test_a_second_channel_of_a_name_is_there_and_said(tmp_path: Path):
-    episode = two_channels(tmp_path / "a.mcap")
-    second = "/vrpn@PointStamped"
+    """A topic with two types; what falls is of the second."""
+    ros, path = RosLog({}), tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        for kind, field in (("PoseStamped", "pose"), ("PointStamped", "point")):
+            name = f"geometry_msgs/msg/{kind}"
+            schema = writer.register_schema(name, "ros2msg", ros.definition(name))
+            channel = writer.register_channel("/vrpn", "cdr", schema)
+            for row in range(50):
+                where = ros.pose(1, 2, 3) if field == "pose" else ros.point(0, 0, row)
+                one = ros.make(name, header=ros.header(row), **{field: where})
+                writer.add_message(
+                    channel, stamp(row), bytes(ros.store.serialize_cdr(one, name)), 0
+                )
+        writer.finish()
+    episode, second = read_episode(path), "/vrpn@PointStamped"
     assert list(episode.signals) == ["/vrpn", second]
     assert episode.signals_of(second)[0].values[7, 2] == 7
     assert any("second channel" in one and second in one for one in episode.warnings)
     assert all(channel.skipped is None for channel in episode.channels)
     columns = {axis: f"/vrpn.point.{axis}" for axis in "xyz"}
-    picked = read_episode(tmp_path / "a.mcap", ReadOptions(columns=columns))
+    picked = read_episode(path, ReadOptions(columns=columns))
     assert next(iter(picked.signals.values())).values[7, 2] == 7
-    imported = import_log(tmp_path / "a.mcap", tmp_path / "b.mcap")
-    assert imported.messages == 100
+    assert import_log(path, tmp_path / "b.mcap").messages == 100

@@ -4,15 +4,27 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from tests import definition_bombs, work_bombs
-from tests.conftest import BIN
-from tests.hostile import HEADER, MAGIC, chunk, spent, write_pictures
+from tests.hostile import (
+    BAG,
+    LONG_METADATA,
+    bag_connection,
+    channels_of,
+    chunk,
+    db3_of,
+    described,
+    jpeg_of_scans,
+    mcap,
+    message,
+    png_of_words,
+    record,
+    write_pictures,
+)
 from tests.strangers import (
     Stranger,
     without_chunks,
@@ -20,13 +32,11 @@ from tests.strangers import (
     write_poses_bag,
     write_poses_folder,
 )
-from tests.work_bombs import db3_of, described, jpeg_of_scans, message, png_of_words, record
 from tunenet_logs import reader, video
 from tunenet_logs.cli import main
 from tunenet_logs.copying import check
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats import base as budget
-from tunenet_logs.formats import decoders
 from tunenet_logs.formats import registry as ros2_folder
 from tunenet_logs.formats.base import Loss, RawChannel, RawMessage, Record, one_by_one
 from tunenet_logs.formats.columns import cells as lines
@@ -39,89 +49,8 @@ from tunenet_logs.messages import POSE, encode, pose
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import Progress
 
-MAX_CPU_S, MAX_KIB = 30.0, 500_000  # of one command; three times the CPU that the slowest takes
 SAMPLES = Stranger(0.7).samples()
 DATA = encode(pose(0, "map", np.zeros(3)), POSE)
-COMMANDS = {
-    "info": ("tunenet-logs", "info", "{}"),
-    "check": ("tunenet-logs", "check", "{}"),
-    "recover": ("tunenet-logs", "recover", "{}", "-o", "saved.mcap"),
-    "tune": ("tunenet-tune", "{}", "-o", "tuned"),
-}
-# Those that are made and met in a moment, and took the longest.
-QUICK = (
-    "zeros_in_chunks", "tiny_records_in_chunks", "zeros_behind_the_magic", "damaged_records",
-    "many_types", "false_chunks", "many_scans", "packed_words_png", "unclosed_texts",
-    "protobuf_channels",
-)  # fmt: skip
-
-
-BOMBS = (*work_bombs.BOMBS, *definition_bombs.BOMBS)
-
-
-def met(bomb: Callable[[Path], None], folder: Path, command: str) -> None:
-    path = folder / ("bomb.csv" if bomb.__name__ == "empty_lines" else "bomb.mcap")
-    bomb(path)
-    program, *words = COMMANDS[command]
-    told = spent([str(BIN / program), *(word.format(path) for word in words)], folder)
-    assert "Traceback" not in told.said
-    assert told.code in (0, 1), told.said
-    assert told.cpu_s < MAX_CPU_S
-    assert told.peak_kib < MAX_KIB
-    assert told.said.count("\n") < 250
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("bomb", BOMBS, ids=lambda one: one.__name__)
-def test_a_bomb_takes_little(tmp_path: Path, bomb: Callable[[Path], None], command: str):
-    met(bomb, tmp_path, command)
-
-
-@pytest.mark.parametrize("bomb", [one for one in BOMBS if one.__name__ in QUICK],
-                         ids=lambda one: one.__name__)  # fmt: skip
-def test_a_small_bomb_takes_little(tmp_path: Path, bomb: Callable[[Path], None]):
-    met(bomb, tmp_path, "check")
-
-
-def read(container: Callable, path: Path, **more: object) -> tuple[list[Record], list[Loss]]:
-    losses: list[Loss] = []
-    return list(container(path, losses, **more)), losses
-
-
-def messages(records: list[Record]) -> int:
-    return sum(isinstance(one, RawMessage) for one in one_by_one(records))
-
-
-def test_zeros_are_said_once_and_what_follows_is_read(tmp_path: Path):
-    path, said = tmp_path / "a.mcap", described(1) + message(0, DATA)
-    path.write_bytes(MAGIC + HEADER + said + bytes(4096) + said + bytes(100_000))
-    begin = len(MAGIC + HEADER + said)
-    records, losses = read(read_mcap, path)
-    assert messages(records) == 2
-    zeros = [one for one in losses if "zeros" in one.what]
-    assert [(one.at_byte, one.size) for one in zeros] == [
-        (begin, 4096),
-        (begin + 4096 + len(said), 100_000),
-    ]
-
-
-def test_zeros_in_a_chunk_are_said_once_and_what_follows_is_read(tmp_path: Path):
-    path = tmp_path / "a.mcap"
-    inside = message(0, DATA) + bytes(5000) + message(0, DATA)
-    path.write_bytes(MAGIC + HEADER + described(1) + chunk(b"", len(inside), inside))
-    records, losses = read(read_mcap, path)
-    assert messages(records) == 2
-    (zeros,) = [one.what for one in losses if "zeros" in one.what]
-    assert zeros == "5000 bytes of a chunk are zeros"
-
-
-def write_db3(path: Path) -> None:
-    db3_of(path, 1, 5000, DATA)
-
-
-def write_bag(path: Path) -> None:
-    write_poses_bag(path, *SAMPLES)
 
 
 def write_mcap(path: Path) -> None:
@@ -129,103 +58,107 @@ def write_mcap(path: Path) -> None:
     without_chunks(path.with_name("packed"), path)
 
 
+class Kind(NamedTuple):
+    """A container: what reads it, and what writes many messages or channels of it."""
+
+    read: Callable
+    write: Callable[[Path], object]
+    channels: Callable[[Path, int], object]
+
+
 KINDS = {
-    "mcap": (read_mcap, write_mcap),
-    "bag": (read_bag, write_bag),
-    "db3": (read_db3, write_db3),
+    "mcap": Kind(read_mcap, write_mcap, lambda path, n: path.write_bytes(mcap(described(n)))),
+    "bag": Kind(
+        read_bag,
+        lambda path: write_poses_bag(path, *SAMPLES),
+        lambda path, n: path.write_bytes(BAG + b"".join(map(bag_connection, range(n)))),
+    ),
+    "db3": Kind(
+        read_db3, lambda path: db3_of(path, 1, 5000, DATA), lambda path, n: db3_of(path, n, 1)
+    ),
 }
+each_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_reading_stops_where_a_log_has_far_more_records_than_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+def read(container: Callable, path: Path, **more: object) -> tuple[list[Record], list[str]]:
+    """Records, and what is lost."""
+    losses: list[Loss] = []
+    return list(container(path, losses, **more)), [one.what for one in losses]
+
+
+def messages(records: list[Record]) -> int:
+    return sum(isinstance(one, RawMessage) for one in one_by_one(records))
+
+
+def of_bytes(path: Path, *records: bytes) -> tuple[int, list[Loss]]:
+    path.write_bytes(mcap(*records))
+    losses: list[Loss] = []
+    return messages(list(read_mcap(path, losses))), losses
+
+
+def test_zeros_are_said_once_and_what_follows_is_read(tmp_path: Path):
+    said = described(1) + message(0, DATA)
+    count, losses = of_bytes(tmp_path / "a", said, bytes(4096), said, bytes(100_000))
+    assert count == 2
+    zeros = [(one.at_byte, one.size) for one in losses if "zeros" in one.what]
+    begin = len(mcap(said))
+    assert zeros == [(begin, 4096), (begin + 4096 + len(said), 100_000)]
+    inside = message(0, DATA) + bytes(5000) + message(0, DATA)
+    count, losses = of_bytes(tmp_path / "a", described(1), chunk(b"", len(inside), inside))
+    assert count == 2
+    zeros = [one.what for one in losses if "zeros" in one.what]
+    assert zeros == ["5000 bytes of a chunk are zeros"]
+
+
+@each_kind
+def test_records_and_channels_are_bounded_far_above_an_honest_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: Kind
 ):
-    container, write = KINDS[kind]
-    write(tmp_path / "a")
-    every, losses = read(container, tmp_path / "a")
-    assert not any("stopped" in one.what for one in losses)
+    path = tmp_path / "a"
+    kind.write(path)
+    whole = budget.Budget(path.stat().st_size)
+    every, losses = read(kind.read, path, budget=whole)
+    assert 0 < whole.spent_records < whole.file_bytes / 15  # and a fourth of it is free
+    assert not any("stopped" in one for one in losses)
     monkeypatch.setattr(budget, "_FREE_RECORDS", 450)
     monkeypatch.setattr(budget, "_BYTES_A_RECORD", 10**9)
-    some, losses = read(container, tmp_path / "a")
+    some, losses = read(kind.read, path)
     assert 0 < messages(some) < messages(every)
-    (why,) = [one.what for one in losses if "stopped" in one.what]
+    (why,) = [one for one in losses if "stopped" in one]
     assert "far more records" in why
     assert "left out" in why
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_honest_log_uses_a_small_part_of_its_budget(tmp_path: Path, kind: str):
-    container, write = KINDS[kind]
-    write(tmp_path / "a")
-    whole = budget.Budget((tmp_path / "a").stat().st_size)
-    read(container, tmp_path / "a", budget=whole)
-    assert 0 < whole.spent_records < whole.file_bytes / 15  # and a fourth of it is free
-
-
-def write_channels(path: Path, count: int) -> None:
-    path.write_bytes(MAGIC + HEADER + described(count))
-
-
-def write_connections(path: Path, count: int) -> None:
-    path.write_bytes(work_bombs.BAG + b"".join(map(work_bombs.bag_connection, range(count))))
-
-
-@pytest.mark.parametrize(
-    ("container", "write"),
-    [
-        (read_mcap, write_channels),
-        (read_bag, write_connections),
-        (read_db3, partial(db3_of, messages=1)),
-    ],
-)
-def test_channels_beyond_any_log_are_not_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, container: Callable, write: Callable
-):
+    monkeypatch.undo()
     monkeypatch.setattr(budget, "MAX_CHANNELS", 20)
-    write(tmp_path / "a", 20)
-    records, losses = read(container, tmp_path / "a")
-    assert sum(isinstance(one, RawChannel) for one in records) == 20
-    assert not any("stopped" in one.what for one in losses)
-    write(tmp_path / "b", 21)
-    records, losses = read(container, tmp_path / "b")
-    assert sum(isinstance(one, RawChannel) for one in records) <= 20
-    assert any("over 20 channels" in one.what for one in losses)
+    for count in (20, 21):
+        kind.channels(tmp_path / f"{count}", count)
+        records, losses = read(kind.read, tmp_path / f"{count}")
+        channels = sum(isinstance(one, RawChannel) for one in records)
+        assert channels == 20 or (count == 21 and channels < 20)
+        assert any("over 20 channels" in one for one in losses) == (count == 21)
 
 
-def test_damaged_places_are_kept_within_the_budget(tmp_path: Path):
+def test_damaged_places_are_kept_within_the_budget_and_the_first_are_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+):
     path = tmp_path / "a.mcap"
-    path.write_bytes(MAGIC + HEADER + record(3) * 200_000)
-    _, losses = read(read_mcap, path)
+    _, losses = of_bytes(path, record(3) * 200_000)
     most = (250_000 + path.stat().st_size / 4) / budget.DAMAGE_RECORDS
     assert 1000 < len(losses) <= most + 2
+    path.write_bytes(mcap(described(1), message(0, DATA), record(3) * 500))
+    assert main(["check", str(path)]) == 1
+    said = capsys.readouterr().out
+    assert said.count("  damage: ") == 101
+    assert "  damage: and 401 more\n" in said
 
 
-def test_a_chunk_that_is_found_again_and_again_is_looked_for_from_near(
+def test_metadata_and_definitions_beyond_any_log_are_not_held(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from tunenet_logs.formats import mcap
-
-    looked: list[int] = []
-    blocks = mcap._McapReading._blocks
-
-    def counted(self: mcap._McapReading):
-        for block in blocks(self):
-            looked.append(len(block))
-            yield block
-
-    monkeypatch.setattr(mcap._McapReading, "_blocks", counted)
-    path = tmp_path / "a.mcap"
-    begin = struct.pack("<BQQQQII", 6, 40, 0, 1, 0, 0, 4) + b"zstd" + b"\xff" * 40
-    path.write_bytes(MAGIC + HEADER + begin * 2000 + bytes(1_000_000))
-    read(read_mcap, path)
-    assert sum(looked) < 20_000_000  # a megabyte each time would be two gigabytes
-
-
-def test_metadata_of_too_many_words_is_damaged(tmp_path: Path):
-    path = tmp_path / "a.mcap"
-    work_bombs.long_metadata(path)
-    _, losses = read(read_mcap, path)
-    assert any("over 20000 parts" in one.what for one in losses)
+    (tmp_path / "a").write_bytes(LONG_METADATA)
+    assert any("over 20000 parts" in one for one in read(read_mcap, tmp_path / "a")[1])
+    monkeypatch.setattr(budget, "_MAX_DEFINITION_BYTES", 10_000)
+    (tmp_path / "a").write_bytes(channels_of(20, b"a/msg/T", b"cdr", [b"float64 x\n" * 100] * 20))
+    assert any("10000 bytes of definitions" in one for one in read(read_mcap, tmp_path / "a")[1])
 
 
 def test_files_of_a_folder_share_one_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -237,23 +170,20 @@ def test_files_of_a_folder_share_one_budget(tmp_path: Path, monkeypatch: pytest.
     every, _ = read(read_folder, folder)
     monkeypatch.setattr(budget, "_FREE_RECORDS", messages(every) * 3 // 4)
     monkeypatch.setattr(budget, "_BYTES_A_RECORD", 10**9)
-    some, losses = read(read_folder, folder)
-    assert messages(every) / 2 < messages(some) < messages(every)
+    losses: list[Loss] = []
+    assert messages(every) / 2 < messages(list(read_folder(folder, losses))) < messages(every)
     assert [one.file for one in losses if "stopped" in one.what] == ["bag_1.db3"]
     monkeypatch.setattr(ros2_folder, "_MAX_PARTS", 1)
     with pytest.raises(LogError, match="over 1 files"):
         read(read_folder, folder)
 
 
-def test_scans_of_a_jpeg_are_counted():
+def test_scans_of_a_jpeg_and_packed_words_of_a_png_are_counted():
     usual, many = jpeg_of_scans(1, side_px=200), jpeg_of_scans(30, side_px=200)
     assert image_work_px(usual) == 40_000
     assert 100_000 < image_work_px(many) < 200_000
     with pytest.raises(LogError, match="over 50 scans"):
         image_size(jpeg_of_scans(60, side_px=200))
-
-
-def test_packed_words_of_a_png_are_counted():
     assert image_size(png_of_words(10)) == (1000, 1000)
     with pytest.raises(LogError, match="packed words"):
         image_size(png_of_words(20))
@@ -262,26 +192,19 @@ def test_packed_words_of_a_png_are_counted():
 def test_pictures_are_paid_for_by_the_bytes_of_their_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    path = tmp_path / "a.mcap"
-    write_pictures(path, jpeg_of_scans(1, side_px=200), count=20)
-    assert len(list(read_episode(path).frames())) == 20
+    one, two = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    for path, topics in ((one, 1), (two, 2)):
+        write_pictures(path, jpeg_of_scans(1, side_px=200), count=20, topics=topics)
+    assert len(list(read_episode(one).frames())) == 20
     monkeypatch.setattr(reader, "_FREE_PIXELS", 400_000)
     monkeypatch.setattr(reader, "_PIXELS_A_BYTE", 0)
-    frames = read_episode(path).frames()
+    frames = read_episode(one).frames()
     assert [next(frames).size_px() for _ in range(10)] == [(200, 200)] * 10
     with pytest.raises(LogError, match="far more pixels"):
         next(frames)
-
-
-def test_cameras_share_the_pixels_of_their_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    path = tmp_path / "a.mcap"
-    write_pictures(path, jpeg_of_scans(1, side_px=200), count=20, topics=2)
-    monkeypatch.setattr(reader, "_FREE_PIXELS", 400_000)
-    monkeypatch.setattr(reader, "_PIXELS_A_BYTE", 0)
-    health = check(path, Progress(quiet=True))
-    assert [line for line in health.damage if "reading ends after 5 of 10" in line] == [
-        line for line in health.damage if "/eye" in line
-    ]
+    damage = [line for line in check(two, Progress(quiet=True)).damage if "/eye" in line]
+    assert len(damage) == 2
+    assert all("reading ends after 5 of 10" in line for line in damage)
 
 
 def test_cameras_of_many_messages_are_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -308,43 +231,9 @@ def test_a_film_of_far_more_pixels_than_its_bytes_pay_for_is_refused(
         read_episode(path)
 
 
-@pytest.mark.parametrize("count", [1, 100])
-def test_a_definition_of_many_channels_is_read_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int
-):
-    made: list[str] = []
-    usual = decoders.listed_type
-
-    def counted(channel: RawChannel):
-        made.append(channel.topic)
-        return usual(channel)
-
-    monkeypatch.setattr(decoders, "listed_type", counted)
-    write_channels(tmp_path / "a.mcap", count)
-    assert len(read_episode(tmp_path / "a.mcap").channels) == count
-    assert made == ["/ch0"]
-
-
-def test_definitions_beyond_any_log_are_not_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(budget, "_MAX_DEFINITION_BYTES", 10_000)
-    schemas = [b"float64 x\n" * 100] * 20
-    definition_bombs.channels_of(tmp_path / "a", 20, b"a/msg/T", b"cdr", schemas)
-    _, losses = read(read_mcap, tmp_path / "a")
-    assert any("10000 bytes of definitions" in one.what for one in losses)
-
-
 def test_empty_lines_are_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "a.csv"
     path.write_text("t,z\n" + "\n" * 2000 + "1,2\n")
     monkeypatch.setattr(lines, "_MAX_LINES", 1000)
     with pytest.raises(LogError, match="over 1000 lines"):
         read_episode(path)
-
-
-def test_of_very_much_damage_the_first_is_said(tmp_path: Path, capsys: pytest.CaptureFixture):
-    path = tmp_path / "a.mcap"
-    path.write_bytes(MAGIC + HEADER + described(1) + message(0, DATA) + record(3) * 500)
-    assert main(["check", str(path)]) == 1
-    said = capsys.readouterr().out
-    assert said.count("  damage: ") == 101
-    assert "  damage: and 401 more\n" in said

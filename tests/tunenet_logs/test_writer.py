@@ -1,29 +1,37 @@
-"""What was written stays: in our reader and in others', when killed, when the disk is full."""
+"""What was written stays: in our reader and in others', when killed, when the disk is full.
+
+Our MCAP is byte for byte what the mcap library writes of the same.
+"""
 
 from __future__ import annotations
 
 import copy
 import errno
+import io
 import os
 import signal
 import subprocess
 import sys
 import time
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
-from tests.conftest import BIN, Command
+from tests.conftest import Command, files_no_larger_than
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.reader import read_episode
 from tunenet_logs.timing.stamps import now_ns, wall_ns
-from tunenet_logs.writing.owned_path import LogPlace
-from tunenet_logs.writing.writer import EpisodeWriter
+from tunenet_logs.writing.owned_path import LogPlace, WholeFile
+from tunenet_logs.writing.writer import EpisodeWriter, McapOutput
 
 INFO = EpisodeInfo(kind="drop", source="a test", truth={"restitution": 0.5})
 PERIOD_NS = 10_000_000
@@ -38,9 +46,10 @@ def write(path: Path, pause_s: float = 0.0) -> np.ndarray:
     return positions
 
 
-def test_comes_back_bit_for_bit(tmp_path: Path):
-    positions = write(tmp_path / "a.mcap")
-    episode = read_episode(tmp_path / "a.mcap")
+def test_comes_back_bit_for_bit_in_our_reader_and_in_others(tmp_path: Path):
+    path = tmp_path / "a.mcap"
+    positions = write(path)
+    episode = read_episode(path)
     ball = episode.signals["/ball/pose"]
     assert np.array_equal(ball.values, positions)
     assert np.array_equal(ball.stamps_ns, np.arange(100) * PERIOD_NS)
@@ -48,6 +57,18 @@ def test_comes_back_bit_for_bit(tmp_path: Path):
     assert episode.info.counts["written"] == 100
     assert not episode.warnings
     assert not (tmp_path / "a.mcap.active").exists()
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == 100
+        assert reader.get_header().profile == "ros2"
+        records = {record.name: record.metadata for record in reader.iter_metadata()}
+        assert records["tunenet/episode"]["truth.restitution"] == "0.5"
+    with AnyReader([path]) as bag:
+        seen: list[Any] = [bag.deserialize(raw, one.msgtype) for one, _, raw in bag.messages()]
+    assert [message.pose.position.z for message in seen] == list(positions[:, 2])
 
 
 def test_frames_keep_their_bytes_and_are_read_when_asked_for(tmp_path: Path):
@@ -79,9 +100,8 @@ def test_a_live_log_tells_the_receipt_beside_the_acquisition(tmp_path: Path, liv
             channel.topic: (message.log_time, message.publish_time)
             for _, channel, message in make_reader(file).iter_messages()
         }
-    assert {topic: one[1] for topic, one in times.items()} == {
-        "/ball/pose": 5, "/camera": 6, "/joint_states": 7,
-    }  # fmt: skip
+    published = {topic: one[1] for topic, one in times.items()}
+    assert published == {"/ball/pose": 5, "/camera": 6, "/joint_states": 7}
     if live:
         assert times["/camera"][0] == before
         assert all(before <= logged <= after for logged, _ in times.values())
@@ -94,6 +114,8 @@ def test_pixels_and_joints_are_standard_messages(tmp_path: Path):
     with EpisodeWriter(tmp_path / "a.mcap", INFO, live=False) as writer:
         writer.write_frame("/raw", Frame(3_000_000_007, "rgb8", pixels, (4, 2)))
         writer.write_joints("/joint_states", 8, ["a", "b"], [1.0, 2.0], effort_nm=[3.0, 4.0])
+        with pytest.raises(ValueError, match="cannot hold sensor_msgs/msg/JointState"):
+            writer.write_joints("/raw", 6, [], [])  # a topic holds one type
     with AnyReader([tmp_path / "a.mcap"]) as bag:
         seen: dict[str, Any] = {
             one.topic: bag.deserialize(raw, one.msgtype) for one, _, raw in bag.messages()
@@ -103,16 +125,8 @@ def test_pixels_and_joints_are_standard_messages(tmp_path: Path):
     assert image.data.tobytes() == pixels
     assert (image.header.stamp.sec, image.header.stamp.nanosec) == (3, 7)
     assert state.name == ["a", "b"]
-    assert [list(one) for one in (state.position, state.velocity, state.effort)] == [
-        [1.0, 2.0], [], [3.0, 4.0],
-    ]  # fmt: skip
-
-
-def test_a_topic_holds_one_type(tmp_path: Path):
-    with EpisodeWriter(tmp_path / "a.mcap", INFO) as writer:
-        writer.write_pose("/ball/pose", 5, np.zeros(3))
-        with pytest.raises(ValueError, match="cannot hold sensor_msgs/msg/JointState"):
-            writer.write_joints("/ball/pose", 6, [], [])
+    parts = [list(one) for one in (state.position, state.velocity, state.effort)]
+    assert parts == [[1.0, 2.0], [], [3.0, 4.0]]
 
 
 def test_an_error_of_the_recorder_ends_the_log_whole_and_is_named(tmp_path: Path):
@@ -129,66 +143,36 @@ def test_an_error_of_the_recorder_ends_the_log_whole_and_is_named(tmp_path: Path
     assert episode.info.counts == {"captured": 1, "written": 1, "dropped": 0}
 
 
-def test_a_log_that_came_into_being_meanwhile_stays(tmp_path: Path):
-    writer = EpisodeWriter(tmp_path / "a.mcap", INFO)
-    (tmp_path / "a.mcap").write_bytes(b"mine")
+def test_what_is_there_is_never_overwritten_unasked(tmp_path: Path):
+    log, active = tmp_path / "a.mcap", tmp_path / "a.mcap.active"
+    writer = EpisodeWriter(log, INFO)
+    log.write_bytes(b"mine")  # came into being meanwhile
     with pytest.raises(LogError, match=r"are kept in a\.mcap\.active"):
         writer.close()
-    assert (tmp_path / "a.mcap").read_bytes() == b"mine"
-    assert not read_episode(tmp_path / "a.mcap.active").warnings
+    assert log.read_bytes() == b"mine"
+    assert not read_episode(active).warnings
+    active.unlink()
+    log.unlink()
+    write(log)
+    before = log.read_bytes()
+    with pytest.raises(LogError, match="--overwrite"):
+        EpisodeWriter(log, INFO)
+    assert log.read_bytes() == before
+    log.rename(active)  # what a killed recording left
+    with pytest.raises(LogError, match="did not end"):
+        EpisodeWriter(log, INFO)
+    assert active.read_bytes() == before
 
 
 def test_a_wall_clock_that_is_set_does_not_bend_the_stamps(monkeypatch: pytest.MonkeyPatch):
-    before = now_ns()
-    jumped_ns = time.time_ns() + 3_600_000_000_000
+    before, jumped_ns = now_ns(), time.time_ns() + 3_600_000_000_000
     monkeypatch.setattr(time, "time_ns", lambda: jumped_ns)
     assert 0 <= now_ns() - before < 1_000_000_000_000
     assert wall_ns(5) - wall_ns(3) == 2
 
 
-def test_other_readers_agree(tmp_path: Path):
-    positions = write(tmp_path / "a.mcap")
-    with (tmp_path / "a.mcap").open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        assert summary.statistics.message_count == 100
-        assert reader.get_header().profile == "ros2"
-        records = {record.name: record.metadata for record in reader.iter_metadata()}
-        assert records["tunenet/episode"]["truth.restitution"] == "0.5"
-    with AnyReader([tmp_path / "a.mcap"]) as bag:
-        seen: list[Any] = [bag.deserialize(raw, one.msgtype) for one, _, raw in bag.messages()]
-    assert [message.pose.position.z for message in seen] == list(positions[:, 2])
-
-
-def test_rerun_shows_the_poses_natively(tmp_path: Path):
-    write(tmp_path / "a.mcap")
-    convert = [BIN / "rerun", "mcap", "convert", tmp_path / "a.mcap", "-o", tmp_path / "a.rrd"]
-    subprocess.run(convert, check=True, capture_output=True, timeout=60)
-    shown = subprocess.run(
-        [BIN / "rerun", "rrd", "print", "-v", tmp_path / "a.rrd"],
-        check=True, capture_output=True, text=True, timeout=60,
-    ).stdout  # fmt: skip
-    assert "InstancePoses3D:translations" in shown or "Transform3D:translation" in shown
-
-
-def test_never_overwrites_unasked(tmp_path: Path):
-    write(tmp_path / "a.mcap")
-    before = (tmp_path / "a.mcap").read_bytes()
-    with pytest.raises(LogError, match="--overwrite"):
-        EpisodeWriter(tmp_path / "a.mcap", INFO)
-    assert (tmp_path / "a.mcap").read_bytes() == before
-
-
-def test_does_not_touch_what_a_killed_recording_left(tmp_path: Path):
-    (tmp_path / "a.mcap.active").write_bytes(b"the only copy")
-    with pytest.raises(LogError, match="did not end"):
-        EpisodeWriter(tmp_path / "a.mcap", INFO)
-    assert (tmp_path / "a.mcap.active").read_bytes() == b"the only copy"
-
-
 ELSEWHERE = "choose another place with -o"
+CANNOT = "PATH: its folder cannot be written to"
 
 
 @pytest.mark.parametrize(
@@ -196,18 +180,13 @@ ELSEWHERE = "choose another place with -o"
     [
         (errno.ENOENT, f"FOLDER: no such folder; make it first, or {ELSEWHERE}"),
         (errno.ENOTDIR, f"FOLDER: is no folder; {ELSEWHERE}"),
-        (errno.EACCES, f"PATH: its folder cannot be written to (Permission denied); {ELSEWHERE}"),
-        (
-            errno.EROFS,
-            f"PATH: its folder cannot be written to (Read-only file system); {ELSEWHERE}",
-        ),
-        (
-            errno.ENOSPC,
-            f"PATH: cannot be written (No space left on device); free some space, or {ELSEWHERE}",
-        ),
+        (errno.EACCES, f"{CANNOT} (Permission denied); {ELSEWHERE}"),
+        (errno.EROFS, f"{CANNOT} (Read-only file system); {ELSEWHERE}"),
+        (errno.ENOSPC, "PATH: cannot be written (No space left on device); free some space, or "
+         f"{ELSEWHERE}"),
         (errno.EIO, f"PATH: cannot be written (Input/output error); {ELSEWHERE}"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_written_is_named_as_it_was_given_with_a_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, why: str
 ):
@@ -272,6 +251,7 @@ from pathlib import Path
 from tunenet_logs.recorders.session import stop_flag
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.writing.writer import EpisodeWriter
+
 with stop_flag() as stop, EpisodeWriter(Path("a.mcap"), EpisodeInfo(kind="drop")) as writer:
     start = time.monotonic_ns()
     index = 0
@@ -287,12 +267,8 @@ with stop_flag() as stop, EpisodeWriter(Path("a.mcap"), EpisodeInfo(kind="drop")
 
 def recorder(folder: Path, acknowledged: int) -> tuple[subprocess.Popen[bytes], bytes]:
     """A process that tells on stderr which stamps were acknowledged, and the first so many."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", RECORDER],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
+    words, pipe = [sys.executable, "-c", RECORDER], subprocess.PIPE
+    process = subprocess.Popen(words, cwd=folder, stdout=pipe, stderr=pipe)
     assert process.stdout is not None
     assert process.stderr is not None
     assert process.stdout.readline() == b"ready\n"
@@ -329,3 +305,138 @@ def test_stopped_by_a_signal_the_log_is_whole(tmp_path: Path, number: int, count
     assert written >= count
     ball = episode.signals.get("/ball/pose")
     assert written == (0 if ball is None else len(ball.values))
+
+
+# Byte for byte what the mcap library writes.
+MESSAGES = [
+    (index % 2, 50 + 7 * (index % 3), os.urandom(index * 37 % 9000).hex().encode())
+    for index in range(99)
+]
+LAST = ("last", {"b": "2", "é": "ü"})
+
+
+def by_the_library(flushes: bool) -> bytes:
+    file, packing = io.BytesIO(), CompressionType.ZSTD
+    writer = Writer(file, chunk_size=64 * 1024, compression=packing, enable_data_crcs=True)
+    writer.start(profile="ros2", library="ours")
+    writer.add_metadata("first", {"a": "1"})
+    channels: list[int] = []
+    for number, (which, time_ns, data) in enumerate(MESSAGES):
+        if which == len(channels):
+            schema = writer.register_schema(f"type{which}", "ros2msg", b"float64 x")
+            channels.append(writer.register_channel(f"/{which}", "cdr", schema))
+        writer.add_message(channels[which], time_ns, data, time_ns + 1, number)
+        if flushes and number % 10 == 0:
+            writer.flush()
+    writer.flush()
+    writer.add_metadata(*LAST)
+    writer.finish()
+    return file.getvalue()
+
+
+Opened = Callable[[Path], WholeFile]
+
+
+@pytest.fixture
+def opened() -> Iterator[Opened]:
+    """Opens files, empty, which are closed at the end."""
+    with ExitStack() as stack:
+
+        def one(path: Path) -> WholeFile:
+            descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_TRUNC, 0o666)
+            stack.callback(os.close, descriptor)
+            return WholeFile(descriptor)
+
+        yield one
+
+
+def by_us(file: WholeFile, flushes: bool, *, ends: bool = True) -> McapOutput:
+    output = McapOutput(file, "ros2", "ours")
+    output.add_metadata("first", {"a": "1"})
+    channels: list[int] = []
+    for number, (which, time_ns, data) in enumerate(MESSAGES):
+        if which == len(channels):
+            schema = output.add_schema(f"type{which}", "ros2msg", "float64 x")
+            channels.append(output.add_channel(f"/{which}", "cdr", schema))
+        output.add_message(channels[which], number, time_ns, time_ns + 1, data)
+        if flushes and number % 10 == 0:
+            output.close_chunk()
+    output.close_chunk()
+    if ends:
+        output.end(*LAST)
+    return output
+
+
+@pytest.mark.parametrize("flushes", [False, True])
+def test_the_bytes_are_those_of_the_library(tmp_path: Path, opened: Opened, flushes: bool):
+    output = by_us(opened(tmp_path / "a.mcap"), flushes)
+    assert output.message_count == len(MESSAGES)
+    assert (tmp_path / "a.mcap").read_bytes() == by_the_library(flushes)
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_pictures_are_packed_with_little_effort(tmp_path: Path, opened: Opened, count: int):
+    """A chunk that cannot be packed says that it is, as all do, and every reader reads it."""
+    path, pictures = tmp_path / "a.mcap", [os.urandom(100_000) for _ in range(count)]
+    output = McapOutput(opened(path), "ros2", "ours")
+    channel = output.add_channel("/a", "cdr", output.add_schema("a", "ros2msg", "float64 x"))
+    for number, data in enumerate(pictures):
+        output.add_message(channel, number, number, number, data)
+    output.end("last", {})
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert [message.data for *_, message in reader.iter_messages()] == pictures
+        summary = reader.get_summary()
+        assert summary is not None
+        assert {one.compression for one in summary.chunk_indexes} == ({"zstd"} if count else set())
+
+
+def test_what_is_given_up_of_the_end_as_room_gets_short(tmp_path: Path, opened: Opened):
+    """Every log that has an end reads to its last message, however little of it fits."""
+    by_us(opened(tmp_path / "whole.mcap"), flushes=True)
+    whole = (tmp_path / "whole.mcap").stat().st_size
+    by_us(opened(tmp_path / "open.mcap"), flushes=True, ends=False)
+    endless = (tmp_path / "open.mcap").stat().st_size
+    forms: list[tuple[bool, ...]] = []
+    for limit in range(whole, endless - 1, -9):
+        output = by_us(opened(tmp_path / "a.mcap"), flushes=True, ends=False)
+        with files_no_larger_than(limit):
+            is_ended = output.end_as_fits(*LAST)
+        if not is_ended:
+            assert (tmp_path / "a.mcap").stat().st_size == endless
+            forms.append((False,))
+            continue
+        with (tmp_path / "a.mcap").open("rb") as file:
+            reader = make_reader(file, validate_crcs=True)
+            assert len(list(reader.iter_messages())) == len(MESSAGES)
+            summary = reader.get_summary()
+            names = [one.name for one in reader.iter_metadata()]
+            file.seek(0)
+            streamed = NonSeekingReader(file, validate_crcs=True)
+            assert len(list(streamed.iter_messages(log_time_order=False))) == len(MESSAGES)
+        if summary is not None:
+            assert summary.statistics is not None
+            assert summary.statistics.message_count == len(MESSAGES)
+        has_chunks = summary is not None and bool(summary.chunk_indexes)
+        forms.append((True, has_chunks, summary is not None, "last" in names))
+    assert list(dict.fromkeys(forms)) == [
+        (True, True, True, True), (True, False, True, True), (True, False, False, True),
+        (True, False, False, False), (False,),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("step", [1, 50, 997])
+def test_a_piece_that_does_not_fit_leaves_no_trace(tmp_path: Path, opened: Opened, step: int):
+    file, taken = opened(tmp_path / "a"), b""
+    with files_no_larger_than(4000):
+        for piece in (os.urandom(one * step % 300 + 1) for one in range(60)):
+            try:
+                file.append(piece)
+            except OSError:
+                assert len(taken) + len(piece) > 4000
+            else:
+                taken += piece
+            assert (tmp_path / "a").read_bytes() == taken
+            assert (file.size_bytes, file.crc32) == (len(taken), zlib.crc32(taken))
+    file.append(b"more")
+    assert (tmp_path / "a").read_bytes() == taken + b"more"

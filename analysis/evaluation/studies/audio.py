@@ -6,7 +6,6 @@ does today: the "(In)elastic collision" of phyphox.
 
 from __future__ import annotations
 
-import math
 import tempfile
 import time
 from collections import Counter
@@ -18,9 +17,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.analysis.evaluation.study import csv_text, json_text, seeds_in_words, table_line
+from tunenet_logs.analysis.evaluation.study import Order, Part, Row, figure, scored, table
 from tunenet_logs.analysis.evaluation.worlds.audio import (
     Background,
+    FilmedSound,
     NoBounce,
     SoundClip,
     background_sound,
@@ -34,7 +34,7 @@ from tunenet_logs.analysis.evaluation.worlds.audio import (
 from tunenet_logs.analysis.evaluation.worlds.ball import BounceHistory, BounceOrder, bounced
 from tunenet_logs.analysis.experiment import Tuning, record_of
 from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.analysis.parallel import Piece, parallel_map
+from tunenet_logs.analysis.parallel import Piece
 from tunenet_logs.analysis.record import Record
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode, EpisodeInfo
@@ -45,36 +45,7 @@ from tunenet_logs.terminal import Progress
 # ---- Answers to a sound, alone or beside pictures.
 
 
-@dataclass(frozen=True)
-class SoundAnswer:
-    """Answer of a tuning; NaN where there is none."""
-
-    verdict: str  # "ok", "suspect" or "rejected"
-    reason: str  # why it is not "ok"; "" where it is
-    value: float  # restitution, at the first impact that the log determines
-    low: float  # lower end of its 95 % interval
-    high: float  # upper end
-    slope: float  # of the restitution's fall with speed
-    # when each impact was, after the log's first sample, and its restitution
-    rebounds: tuple[tuple[float, float], ...]
-    seconds: float  # of the processor
-
-    @property
-    def is_answered(self) -> bool:
-        """Whether a user gets a value that counts: with its interval, or "ok"."""
-        return bool(np.isfinite(self.value)) and (self.verdict == "ok" or np.isfinite(self.low))
-
-    @property
-    def width(self) -> float:
-        """Width of the interval."""
-        return self.high - self.low
-
-    def covers(self, truth: float) -> bool:
-        """Check whether the interval holds the truth."""
-        return self.low <= truth <= self.high
-
-
-def answer_to(episode: Episode, ball: Ball = UNKNOWN_BALL) -> tuple[SoundAnswer, Array]:
+def answer_to(episode: Episode, ball: Ball = UNKNOWN_BALL) -> tuple[Row, Array]:
     """Tune an episode; return the answer, and the impact times heard [s], shape (N,)."""
     began_s = time.process_time()
     tuning = tune_episode(episode, TuneOptions(ball=ball))
@@ -82,23 +53,30 @@ def answer_to(episode: Episode, ball: Ball = UNKNOWN_BALL) -> tuple[SoundAnswer,
     return answer_of(record_of(tuning), seconds), _heard_s(tuning)
 
 
-def answer_of(record: Record, seconds: float) -> SoundAnswer:
-    """Extract the answer from a record."""
+def answer_of(record: Record, seconds: float) -> Row:
+    """Extract the answer from a record; NaN where there is none."""
     found = record.estimate("restitution")
     slope = record.estimate("restitution_slope")
     low, high = np.nan, np.nan
     if found is not None and found.interval95 is not None:
         low, high = np.ravel(found.interval95).tolist()[:2]
-    return SoundAnswer(
-        verdict=record.verdict,
-        reason=record.reason or "",
-        value=np.nan if found is None else float(np.ravel(found.value)[0]),
-        low=low,
-        high=high,
-        slope=np.nan if slope is None else float(np.ravel(slope.value)[0]),
-        rebounds=tuple((one.impact_s, one.restitution) for one in record.rebounds),
-        seconds=seconds,
-    )
+    return {
+        "verdict": record.verdict,
+        "reason": record.reason or "",
+        # restitution at the first impact that the log determines, and the ends of its interval
+        "value": np.nan if found is None else float(np.ravel(found.value)[0]),
+        "low": low,
+        "high": high,
+        "slope": np.nan if slope is None else float(np.ravel(slope.value)[0]),
+        "seconds": round(seconds, 3),  # of the processor
+        # when each impact was, after the log's first sample, and its restitution
+        "rebounds": [[one.impact_s, one.restitution] for one in record.rebounds],
+    }
+
+
+def is_answered(row: Row) -> bool:
+    """Check whether a user gets a value that counts: with its interval, or "ok"."""
+    return bool(np.isfinite(row["value"])) and (row["verdict"] == "ok" or np.isfinite(row["low"]))
 
 
 def _heard_s(tuning: Tuning) -> Array:
@@ -281,30 +259,8 @@ class AloneTrial:
         )
 
 
-@dataclass(frozen=True)
-class AloneOutcome:
-    """Result for a clip."""
-
-    trial: AloneTrial  # which
-    ball: str  # its kind
-    table: str  # on what it bounced
-    background: Background  # what else was heard
-    impacts: int  # how many were loud enough
-    truth: float  # restitution at the second impact, by the ball's law
-    unnamed: SoundAnswer  # the answer where the ball is not named
-    named: SoundAnswer  # the answer where its size and mass are
-    jitter_s: float  # rms error of the onsets that were used; NaN where there are fewer than three
-    # least standard deviation of a value from onsets with this jitter, the ball not named and
-    # named; see `bound_sd`
-    bounds: tuple[float, float]
-    # its value at the threshold that is best for this clip; NaN where no threshold hears the first
-    # three impacts first
-    phyphox: float
-    phyphox_hears: bool  # whether a threshold hears the first five impacts first
-
-
-def alone_outcome(trial: AloneTrial) -> AloneOutcome:
-    """Tune a clip, with the ball named and not, and read it as phyphox does."""
+def alone_rows(trial: AloneTrial) -> list[list[Row]]:
+    """Tune a clip, with the ball not named and named, and read it as phyphox does: three rows."""
     clip = trial.clip()
     scene = clip.scene
     episode = sound_alone(clip)
@@ -313,23 +269,26 @@ def alone_outcome(trial: AloneTrial) -> AloneOutcome:
     off = onset_errors_s(times_s, clip.impacts_s)
     jitter_s = float(np.sqrt(np.mean(off**2))) if len(off) > 2 else np.nan
     usual_s = TYPICAL_JITTER_S if not np.isfinite(jitter_s) else max(jitter_s, 1e-5)
-    heard = scene.audible
-    bounds = tuple(bound_sd(scene.history, heard, usual_s, named=one) for one in (False, True))
+    head = {
+        "seed": trial.seed,
+        "number": trial.number,
+        "what": f"{scene.ball.kind} on {scene.table}",
+        "background": clip.background,
+        "snr_db": trial.snr_db,
+        "truth": float(scene.history.by_law[1]),  # at the second impact, by the ball's law
+        "impacts": scene.audible,
+        "jitter_s": jitter_s,  # rms error of the onsets that were used; NaN of fewer than three
+    }
+    rows: list[Row] = []
+    for which, is_named, answer in (("not named", False, unnamed), ("named", True, named)):
+        # least standard deviation of a value from onsets with this jitter
+        bound = bound_sd(scene.history, scene.audible, usual_s, named=is_named)
+        rows.append({**head, "with": f"ball {which}", "bound": bound, **answer})
     best = best_reading(clip)
-    return AloneOutcome(
-        trial=trial,
-        ball=clip.ball_name,
-        table=scene.table,
-        background=clip.background,
-        impacts=scene.audible,
-        truth=float(scene.history.by_law[1]),
-        unnamed=unnamed,
-        named=named,
-        jitter_s=jitter_s,
-        bounds=(bounds[0], bounds[1]),
-        phyphox=np.nan if best is None else float(best.restitutions[0]),
-        phyphox_hears=best_reading(clip, 5) is not None,
-    )
+    value = np.nan if best is None else float(best.restitutions[0])
+    hears_five = best_reading(clip, 5) is not None
+    rows.append({**head, "with": "phyphox", "value": value, "hears_five": hears_five})
+    return [rows]
 
 
 def sound_alone(heard: SoundClip | NoBounce) -> Episode:
@@ -337,20 +296,11 @@ def sound_alone(heard: SoundClip | NoBounce) -> Episode:
     return with_sound(Episode(EpisodeInfo(), {}), heard)
 
 
-@dataclass(frozen=True)
-class NegativeOutcome:
-    """Result for a sound that is no bounce."""
-
-    seed: int  # of it
-    number: int  # likewise
-    kind: str  # of what is heard
-    answer: SoundAnswer  # of the product
-
-
-def negative_outcome(asked: tuple[int, int]) -> NegativeOutcome:
+def negative_rows(case: tuple[int, int]) -> list[list[Row]]:
     """Tune the negative of a seed and a number."""
-    heard = draw_negative(*asked)
-    return NegativeOutcome(*asked, heard.kind, answer_to(sound_alone(heard))[0])
+    heard = draw_negative(*case)
+    head = {"seed": case[0], "number": case[1], "what": heard.kind, "with": "sound alone"}
+    return [[{**head, **answer_to(sound_alone(heard))[0]}]]
 
 
 # ---- Sound beside pictures: videos and tracks with their own sound, another's, or none.
@@ -373,61 +323,47 @@ class BesideTrial:
     uneven: float = 0.0  # of a film, see `BounceOrder`
 
 
-@dataclass(frozen=True)
-class BesideOutcome:
-    """Result of a trial."""
+def beside_rows(trial: BesideTrial) -> list[list[Row]]:
+    """Tune a trial with each sound, each from a log that was opened afresh.
 
-    trial: BesideTrial  # which
-    background: str  # behind its own sound
-    truth: float  # restitution at the first impact
-    deaf: SoundAnswer  # the answer without sound
-    heard: SoundAnswer  # with its own
-    unrelated: tuple[SoundAnswer, ...]  # with each of the trial's unrelated sounds
-    alone: tuple[str, ...]  # verdicts on these sounds alone
-
-
-def beside_outcome(trial: BesideTrial) -> BesideOutcome:
-    """Tune a trial with each sound, each from a log that was opened afresh."""
+    Rows: without sound, with its own, and of each unrelated sound two: beside the pictures, and
+    the verdict on it alone.
+    """
     if trial.kind == "track":
-        track = track_with_sound(trial.seed, trial.number, FILM_SNR_DB)
-        clip = track.clip
-        return _answered(
-            trial, clip.background, track.restitution, clip.scene.lasts_s, track.episode
-        )
-    film = film_with_sound(trial.seed, trial.number, FILM_SNR_DB, uneven=trial.uneven)
+        made = track_with_sound(trial.seed, trial.number, FILM_SNR_DB)
+    else:
+        made = film_with_sound(trial.seed, trial.number, FILM_SNR_DB, uneven=trial.uneven)
+    head: Row = {
+        "seed": trial.seed,
+        "number": trial.number,
+        "what": trial.kind,
+        "background": made.clip.background,  # behind its own sound
+        "truth": made.restitution,  # at the first impact
+    }
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "film.mp4"
-        film.write(path)
-        return _answered(
-            trial,
-            film.clip.background,
-            film.restitution,
-            film.clip.scene.lasts_s,
-            lambda: read_episode(path),
-        )
+        if isinstance(made, FilmedSound):
+            made.write(path)
 
+        def opened() -> Episode:
+            return read_episode(path) if isinstance(made, FilmedSound) else made.episode()
 
-def _answered(
-    trial: BesideTrial,
-    background: str,
-    truth: float,
-    lasts_s: float,
-    opened: Callable[[], Episode],
-) -> BesideOutcome:
-    deaf, _ = answer_to(without_sound(opened()))
-    heard, _ = answer_to(opened())
-    others = [unrelated_sound(what, lasts_s, trial.seed, trial.number) for what in trial.unrelated]
-    return BesideOutcome(
-        trial=trial,
-        background=background,
-        truth=truth,
-        deaf=deaf,
-        heard=heard,
-        unrelated=tuple(
-            answer_to(with_sound(without_sound(opened()), other))[0] for other in others
-        ),
-        alone=tuple(answer_to(sound_alone(other))[0].verdict for other in others),
-    )
+        rows = [
+            {**head, "with": "no sound", **answer_to(without_sound(opened()))[0]},
+            {**head, "with": "its sound", **answer_to(opened())[0]},
+        ]
+        lasts_s = made.clip.scene.lasts_s
+        others = [
+            unrelated_sound(what, lasts_s, trial.seed, trial.number) for what in trial.unrelated
+        ]
+        for what, other in zip(trial.unrelated, others, strict=True):
+            answer, _ = answer_to(with_sound(without_sound(opened()), other))
+            rows.append({**head, "with": what, **answer})
+        for what, other in zip(trial.unrelated, others, strict=True):
+            verdict = answer_to(sound_alone(other))[0]["verdict"]
+            alone = {"what": "sound alone", "with": what, "truth": None, "verdict": verdict}
+            rows.append({**head, **alone})
+    return [rows]
 
 
 def unrelated_sound(what: str, lasts_s: float, seed: int, number: int) -> NoBounce:
@@ -438,7 +374,7 @@ def unrelated_sound(what: str, lasts_s: float, seed: int, number: int) -> NoBoun
         made = background_sound(cast("Background", what), lasts_s, _RATE_HZ, rng)
         made = made[: len(samples)]
         samples[: len(made)] = rng.uniform(0.1, 0.9) * made / np.max(np.abs(made))
-    heard = NoBounce(what, samples.astype(np.float32), _RATE_HZ, "pcm")
+    heard = NoBounce(samples.astype(np.float32), _RATE_HZ, "pcm", what)
     return replace(heard, samples=through_aac(heard.samples, _RATE_HZ), codec="aac")
 
 
@@ -448,154 +384,47 @@ def unrelated_sound(what: str, lasts_s: float, seed: int, number: int) -> NoBoun
 # Signal-to-noise ratio [dB] of a good sound, or more; unevenness of a ball, see `BounceOrder`.
 GOOD_DB, UNEVEN = 20.0, 0.003
 
-SoundOutcome = AloneOutcome | NegativeOutcome | BesideOutcome
+Trials = list[list[Row]]  # of a section: the rows of each clip, sound, film or track
 
 
-@dataclass(frozen=True)
-class SoundOrder:
-    """Settings of the experiment."""
-
-    seeds: Sequence[int]  # each with its own sounds
-    count: int  # for each seed: clips at a ratio, sounds that are no bounce, films, tracks
-    sections: Sequence[str]  # of `study.SOUND_SECTIONS`
-    jobs: int | None = None  # processes; None for all cores
-
-
-def sound_sections(
-    order: SoundOrder, progress: Progress
-) -> Iterator[tuple[str, Sequence[SoundOutcome]]]:
-    """Yield all results section by section; "alone" and "phyphox" share their clips."""
-    clips: list[AloneOutcome] = []
+def run(order: Order, progress: Progress) -> Iterator[Part]:
+    """Run the trials of each section; "alone" and "phyphox" share their clips."""
+    pairs = [(seed, at) for seed in order.seeds for at in range(order.targets)]
+    # By section: the work, what is asked of it, and its unit.
+    work: dict[str, tuple[Callable[[Any], Trials], list[Any], str]] = {
+        "alone": (alone_rows, [AloneTrial(*one, snr) for snr in SNRS_DB for one in pairs], "clip"),
+        "uneven": (alone_rows, [AloneTrial(*one, GOOD_DB, UNEVEN) for one in pairs], "clip"),
+        "negatives": (negative_rows, pairs, "sound"),
+        "films": (
+            beside_rows,
+            # one unrelated sound in turn
+            [BesideTrial("film", *one, (UNRELATED[one[1] % len(UNRELATED)],)) for one in pairs],
+            "film",
+        ),
+        "unrelated": (
+            beside_rows,
+            [BesideTrial("track", *one, UNRELATED) for one in pairs],
+            "track",
+        ),
+        "uneven-films": (
+            beside_rows,
+            [BesideTrial("film", *one, uneven=UNEVEN) for one in pairs],
+            "film",
+        ),
+    }
+    found: dict[str, Trials] = {}
+    what = f"{order.seeds_in_words}, {order.targets} of each"
     for section in order.sections:
-        pairs = [(seed, number) for seed in order.seeds for number in range(order.count)]
-        if section in ("alone", "phyphox"):
-            if not clips:
-                trials = [Piece(AloneTrial(*pair, snr)) for snr in SNRS_DB for pair in pairs]
-                clips = parallel_map(alone_outcome, trials, order.jobs, progress, (section, "clip"))
-            yield section, clips
-        elif section == "uneven":
-            trials = [Piece(AloneTrial(*pair, GOOD_DB, UNEVEN)) for pair in pairs]
-            yield (
-                section,
-                parallel_map(alone_outcome, trials, order.jobs, progress, (section, "clip")),
-            )
-        elif section == "negatives":
-            pieces = [Piece(pair) for pair in pairs]
-            yield (
-                section,
-                parallel_map(negative_outcome, pieces, order.jobs, progress, (section, "sound")),
-            )
-        else:
-            asked = [Piece(_beside_trial(section, *pair)) for pair in pairs]
-            what = asked[0].item.kind if asked else section
-            yield (
-                section,
-                parallel_map(beside_outcome, asked, order.jobs, progress, (section, what)),
-            )
-
-
-def _beside_trial(section: str, seed: int, number: int) -> BesideTrial:
-    """Pair a video with one unrelated sound beside its own, or none; a track with all."""
-    if section == "uneven-films":
-        return BesideTrial("film", seed, number, uneven=UNEVEN)
-    if section == "films":
-        return BesideTrial("film", seed, number, (UNRELATED[number % len(UNRELATED)],))
-    return BesideTrial("track", seed, number, UNRELATED)
-
-
-# ---- JSON and CSV: one row for each answer.
-
-
-# Of the CSV.
-COLUMNS = (
-    *("section", "seed", "number", "what", "background", "snr_db", "with", "truth"),
-    *("verdict", "value", "low", "high", "slope", "seconds", "jitter_s", "bound", "reason"),
-)
-
-Found = Sequence[tuple[str, SoundOutcome]]  # outcomes with the names of their sections
-
-
-def sound_json(found: Found, order: SoundOrder) -> str:
-    """Serialise every answer."""
-    head = {"experiment": "sound", "seeds": list(order.seeds), "count": order.count}
-    return json_text({**head, "rows": list(_rows(found))})
-
-
-def sound_csv(found: Found) -> str:
-    """Format every answer as a table."""
-    return csv_text(COLUMNS, [_flat(row) for row in _rows(found)])
-
-
-def _flat(row: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in row.items() if name in COLUMNS}
-
-
-def _rows(found: Found) -> Iterator[dict[str, Any]]:
-    for section, one in found:
-        if isinstance(one, AloneOutcome):
-            yield from _alone_rows(section, one)
-        elif isinstance(one, NegativeOutcome):
-            head = {"section": section, "seed": one.seed, "number": one.number, "what": one.kind}
-            yield {**head, "with": "sound alone", **_answer(one.answer)}
-        else:
-            yield from _beside_rows(section, one)
-
-
-def _alone_rows(section: str, one: AloneOutcome) -> Iterator[dict[str, Any]]:
-    head = {
-        "section": section,
-        "seed": one.trial.seed,
-        "number": one.trial.number,
-        "what": f"{one.ball} on {one.table}",
-        "background": one.background,
-        "snr_db": one.trial.snr_db,
-        "truth": one.truth,
-        "impacts": one.impacts,
-        "jitter_s": _finite(one.jitter_s),
-    }
-    for which, answer, bound in zip(
-        ("ball not named", "ball named"), (one.unnamed, one.named), one.bounds, strict=True
-    ):
-        yield {**head, "with": which, "bound": _finite(bound), **_answer(answer)}
-    yield {
-        **head,
-        "with": "phyphox",
-        "value": _finite(one.phyphox),
-        "hears_five": one.phyphox_hears,
-    }
-
-
-def _beside_rows(section: str, one: BesideOutcome) -> Iterator[dict[str, Any]]:
-    head = {
-        "section": section,
-        "seed": one.trial.seed,
-        "number": one.trial.number,
-        "what": one.trial.kind,
-        "background": one.background,
-        "truth": one.truth,
-    }
-    yield {**head, "with": "no sound", **_answer(one.deaf)}
-    yield {**head, "with": "its sound", **_answer(one.heard)}
-    for what, answer, alone in zip(one.trial.unrelated, one.unrelated, one.alone, strict=True):
-        yield {**head, "with": what, **_answer(answer)}
-        yield {**head, "what": "sound alone", "with": what, "truth": None, "verdict": alone}
-
-
-def _answer(answer: SoundAnswer) -> dict[str, Any]:
-    return {
-        "verdict": answer.verdict,
-        "reason": answer.reason,
-        "value": _finite(answer.value),
-        "low": _finite(answer.low),
-        "high": _finite(answer.high),
-        "slope": _finite(answer.slope),
-        "seconds": round(answer.seconds, 3),
-        "rebounds": [list(one) for one in answer.rebounds],
-    }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+        made_by = "alone" if section == "phyphox" else section
+        is_new = made_by not in found
+        if is_new:
+            score, asked, unit = work[made_by]
+            cases = {made_by: [Piece(one) for one in asked]}
+            found |= scored(score, cases, order, progress, (section, unit))
+        title, lines = _TABLES[section]
+        text = table(lines(found[made_by]), f"{section}: {title} {what}.")
+        rows = [row for trial in found[made_by] for row in trial] if is_new else []
+        yield Part(section, text, rows)
 
 
 # ---- Tables for a terminal.
@@ -604,195 +433,168 @@ def _finite(value: float) -> float | None:
 _VERDICTS = ("ok", "suspect", "rejected")
 
 
-def sound_table(section: str, outcomes: Sequence[SoundOutcome], order: SoundOrder) -> str:
-    """Tabulate one section, its head first."""
-    makers: dict[str, Callable[[Sequence[SoundOutcome]], list[str]]] = {
-        "alone": lambda found: _alone(cast("Sequence[AloneOutcome]", found)),
-        "phyphox": lambda found: _phyphox(cast("Sequence[AloneOutcome]", found)),
-        "negatives": lambda found: _negatives(cast("Sequence[NegativeOutcome]", found)),
-        "uneven": lambda found: _alone(cast("Sequence[AloneOutcome]", found)),
-        "uneven-films": lambda found: _films(cast("Sequence[BesideOutcome]", found)),
-        "films": lambda found: _films(cast("Sequence[BesideOutcome]", found)),
-        "unrelated": lambda found: _unrelated(cast("Sequence[BesideOutcome]", found)),
-    }
-    what = f"{seeds_in_words(order.seeds)}, {order.count} of each"
-    return "\n".join([f"{section}: {_HEADS[section]} {what}.", *makers[section](outcomes)])
-
-
-_HEADS = {
-    "alone": "Bounces by their sound alone: restitution at the second impact. Answered: with an "
-    "interval, or ok. Errors, coverage and width (median) are of those. Bound: mean error that "
-    "onsets with this jitter allow.",
-    "phyphox": "The same clips by phyphox's way, its threshold at its best for each. Hears 3, 5: a "
-    "threshold hears the first 3, 5 impacts first. Errors where both answer, at the second impact.",
-    "negatives": "Sounds that are no bounce of one ball: verdicts.",
-    "films": "Films at 30 fps, sound at 20 dB: restitution at the first impact, without and with "
-    "their sound.",
-    "uneven": "Each impact returns .3 % more or less than the ball's law says (one standard "
-    "deviation): the law's restitution at the second impact, by sound alone.",
-    "uneven-films": "Films of such balls: the law's restitution at the first impact.",
-    "unrelated": "Tracks at 30 Hz with a sound that is not theirs: how far the value moves, in "
-    "widths of its interval. Alone: ok by that sound alone.",
-}
-
-
-def _levels(outcomes: Sequence[AloneOutcome]) -> list[tuple[str, list[AloneOutcome]]]:
+def _levels(trials: Trials) -> list[tuple[str, Trials]]:
     """Return the names of ratios, and the clips of each."""
-    good = [one for one in outcomes if one.trial.snr_db >= GOOD_DB]
-    each = [
-        (f"{snr:g} dB", [one for one in outcomes if one.trial.snr_db == snr]) for snr in SNRS_DB
-    ]
-    levels = [(f"{GOOD_DB:g} dB or more", good), *each]
-    return [(name, found) for name, found in levels if found]
+    good = [one for one in trials if one[0]["snr_db"] >= GOOD_DB]
+    each = [(f"{snr:g} dB", [one for one in trials if one[0]["snr_db"] == snr]) for snr in SNRS_DB]
+    return [(name, some) for name, some in ((f"{GOOD_DB:g} dB or more", good), *each) if some]
 
 
-def _alone(outcomes: Sequence[AloneOutcome]) -> list[str]:
-    widths = (11, 15, 7, 10, 9, 9, 9, 8, 9, 9, 9, 0)
-    head = ("ball", "ratio", "clips", "answered", "ok", "MAE", "median", "worst", "bound")
-    lines = [table_line((*head, "jitter", "covered", "width"), widths)]
+def _alone(trials: Trials) -> list[list[str]]:
+    head = ["ball", "ratio", "clips", "answered", "ok", "MAE", "median", "worst", "bound"]
+    lines = [[*head, "jitter", "covered", "width"]]
     for at, which in enumerate(("not named", "named")):
-        for level, found in _levels(outcomes):
-            answers = [(one, one.named if at else one.unnamed) for one in found]
-            told = [(one, answer) for one, answer in answers if answer.is_answered]
-            cells = [which, level, str(len(found)), _percent(len(told), len(found))]
-            cells.append(_percent(sum(a.verdict == "ok" for _, a in answers), len(found)))
+        for level, some in _levels(trials):
+            answers = [one[at] for one in some]
+            told = [row for row in answers if is_answered(row)]
+            cells = [which, level, str(len(some)), *_rates(answers)]
             if told:
-                errors = np.array([abs(answer.value - one.truth) for one, answer in told])
-                jitters = np.array([one.jitter_s for one, _ in told])
-                bounds = np.mean([one.bounds[at] for one, _ in told]) * MEAN_OF_SD
-                cells += [f"{v:.5f}" for v in (np.mean(errors), np.median(errors))]
-                cells += [f"{np.max(errors):.3f}", f"{bounds:.5f}", _milliseconds(jitters)]
-                cells += _covered([(answer, one.truth) for one, answer in told])
-            lines.append(table_line(cells, widths))
+                mean, median, worst = _errors(told)
+                bound = float(np.mean([row["bound"] for row in told])) * MEAN_OF_SD
+                jitter_ms = figure([1000 * row["jitter_s"] for row in told], np.median)
+                cells += [f"{mean:.5f}", f"{median:.5f}", f"{worst:.3f}", f"{bound:.5f}"]
+                cells += ["" if jitter_ms is None else f"{jitter_ms:.2f} ms", *_covered(told)]
+            lines.append(cells)
     return lines
 
 
-def _phyphox(outcomes: Sequence[AloneOutcome]) -> list[str]:
-    widths = (15, 7, 9, 9, 11, 9, 6, 10, 11, 10, 12, 11, 0)
-    head = ("ratio", "clips", "hears 3", "hears 5", "not named", "named", "both", "MAE phy.")
-    more = ("not named", "named", "median p.", "not named", "named")
-    lines = [table_line((*head, *more), widths)]
-    for level, found in _levels(outcomes):
-        count = len(found)
+def _phyphox(trials: Trials) -> list[list[str]]:
+    head = ["ratio", "clips", "hears 3", "hears 5", "not named", "named", "both", "MAE phy."]
+    lines = [[*head, "not named", "named", "median p.", "not named", "named"]]
+    for level, some in _levels(trials):
+        count = len(some)
         both = [
-            one
-            for one in found
-            if np.isfinite(one.phyphox) and one.named.is_answered and one.unnamed.is_answered
+            (phyphox, unnamed, named)
+            for unnamed, named, phyphox in some
+            if np.isfinite(phyphox["value"]) and is_answered(named) and is_answered(unnamed)
         ]
-        cells = [level, str(count), _percent(sum(np.isfinite(one.phyphox) for one in found), count)]
-        cells.append(_percent(sum(one.phyphox_hears for one in found), count))
-        cells.append(_percent(sum(one.unnamed.is_answered for one in found), count))
-        cells.append(_percent(sum(one.named.is_answered for one in found), count))
+        cells = [level, str(count)]
+        cells.append(_share(sum(np.isfinite(one[2]["value"]) for one in some), count))
+        cells.append(_share(sum(one[2]["hears_five"] for one in some), count))
+        cells += [_share(sum(is_answered(one[at]) for one in some), count) for at in (0, 1)]
         cells.append(str(len(both)))
         if both:
-            errors = np.array(
-                [
-                    [abs(v - one.truth) for v in (one.phyphox, one.unnamed.value, one.named.value)]
-                    for one in both
-                ]
-            )
-            cells += [f"{value:.5f}" for value in np.mean(errors, axis=0)]
-            cells += [f"{value:.5f}" for value in np.median(errors, axis=0)]
-        lines.append(table_line(cells, widths))
+            errors = [_errors(rows) for rows in zip(*both, strict=True)]
+            cells += [f"{mean:.5f}" for mean, _, _ in errors]
+            cells += [f"{median:.5f}" for _, median, _ in errors]
+        lines.append(cells)
     return lines
 
 
-def _negatives(outcomes: Sequence[NegativeOutcome]) -> list[str]:
-    widths = (14, 7, 7, 9, 0)
-    lines = [table_line(("what", "sounds", *_VERDICTS), widths)]
-    kinds = dict.fromkeys(one.kind for one in outcomes)
-    for kind in ("all", *kinds):
-        verdicts = Counter(one.answer.verdict for one in outcomes if kind in ("all", one.kind))
+def _negatives(trials: Trials) -> list[list[str]]:
+    lines = [["what", "sounds", *_VERDICTS]]
+    for kind in ("all", *dict.fromkeys(row["what"] for (row,) in trials)):
+        verdicts = Counter(row["verdict"] for (row,) in trials if kind in ("all", row["what"]))
         counts = [str(verdicts[name]) for name in _VERDICTS]
-        lines.append(table_line((kind, str(verdicts.total()), *counts), widths))
+        lines.append([kind, str(verdicts.total()), *counts])
     return lines
 
 
-def _films(outcomes: Sequence[BesideOutcome]) -> list[str]:
-    widths = (12, 7, 10, 9, 9, 9, 9, 9, 9, 0)
-    head = ("sound", "films", "answered", "ok", "MAE", "median", "worst", "covered", "width")
-    lines = [table_line((*head, "seconds"), widths)]
-    both = [one for one in outcomes if _is_both(one)]
-    for which, answers in (
-        ("without", [(one.deaf, one) for one in outcomes]),
-        ("with", [(one.heard, one) for one in outcomes]),
-    ):
-        told = [(answer, one.truth) for answer, one in answers if _is_both(one)]
-        count = len(answers)
-        cells = [which, str(count)]
-        cells.append(_percent(sum(answer.is_answered for answer, _ in answers), count))
-        cells.append(_percent(sum(answer.verdict == "ok" for answer, _ in answers), count))
-        if told:
-            errors = np.array([abs(answer.value - truth) for answer, truth in told])
-            cells += [f"{v:.5f}" for v in (np.mean(errors), np.median(errors), np.max(errors))]
-            cells += _covered(told)
-        cells.append(f"{np.median([answer.seconds for answer, _ in answers]):.2f}")
-        lines.append(table_line(cells, widths))
+def _films(trials: Trials) -> list[list[str]]:
+    head = ["sound", "films", "answered", "ok", "MAE", "median", "worst", "covered", "width"]
+    lines = [[*head, "seconds"]]
+    both = [one[:2] for one in trials if is_answered(one[0]) and is_answered(one[1])]
+    for at, which in enumerate(("without", "with")):
+        answers = [one[at] for one in trials]
+        cells = [which, str(len(answers)), *_rates(answers)]
+        if both:
+            told = [one[at] for one in both]
+            cells += [*(f"{value:.5f}" for value in _errors(told)), *_covered(told)]
+        seconds = f"{np.median([row['seconds'] for row in answers]):.2f}"
+        lines.append([*cells, *[""] * (len(head) - len(cells)), seconds])
     if both:
-        lines.append(_ratios(both))
-    if any(one.trial.unrelated for one in outcomes):
-        lines += _unrelated(outcomes)
-    return lines
+        deaf, heard = ([one[at] for one in both] for at in (0, 1))
+        narrower = figure([_width(b) / _width(a) for a, b in both], np.median)
+        longer = figure([b["seconds"] / a["seconds"] for a, b in both], np.median)
+        ratio = _errors(heard)[0] / _errors(deaf)[0]
+        width = np.nan if narrower is None else narrower
+        words = f"with over without, {len(both)} answered both ways: width (median) {width:.2f}, "
+        lines.append([f"{words}MAE {ratio:.2f}, time (median) {longer:.2f}"])
+    return [*lines, *(_unrelated(trials) if len(trials[0]) > 2 else ())]
 
 
-def _is_both(one: BesideOutcome) -> bool:
-    return one.deaf.is_answered and one.heard.is_answered
-
-
-def _ratios(both: Sequence[BesideOutcome]) -> str:
-    errors = np.array([[abs(a.value - one.truth) for a in (one.deaf, one.heard)] for one in both])
-    widths = np.array([[one.deaf.width, one.heard.width] for one in both])
-    sure = np.isfinite(widths).all(axis=1)
-    narrower = np.median(widths[sure, 1] / widths[sure, 0]) if sure.any() else np.nan
-    longer = np.median([one.heard.seconds / one.deaf.seconds for one in both])
-    ratio = np.mean(errors[:, 1]) / np.mean(errors[:, 0])
-    return (
-        f"with over without, {len(both)} answered both ways: width (median) {narrower:.2f}, "
-        f"MAE {ratio:.2f}, time (median) {longer:.2f}"
-    )
-
-
-def _unrelated(outcomes: Sequence[BesideOutcome]) -> list[str]:
-    widths = (17, 7, 9, 9, 11, 15, 0)
-    head = ("unrelated sound", "logs", "median", "worst", "within .1", "verdict moved", "alone ok")
-    lines = [table_line(head, widths)]
-    rows = [
-        (what, one.deaf, answer, alone)
-        for one in outcomes
-        for what, answer, alone in zip(one.trial.unrelated, one.unrelated, one.alone, strict=True)
+def _unrelated(trials: Trials) -> list[list[str]]:
+    lines = [
+        ["unrelated sound", "logs", "median", "worst", "within .1", "verdict moved", "alone ok"]
     ]
-    for kind in ("all", *dict.fromkeys(what for what, *_ in rows)):
-        mine = [row for row in rows if kind in ("all", row[0])]
-        moved = [_moved(deaf, answer) for _, deaf, answer, _ in mine]
+    answers: list[tuple[Row, Row, Row]] = []  # without sound, with the unrelated one, it alone
+    for deaf, _, *others in trials:
+        count = len(others) // 2
+        answers += [(deaf, *both) for both in zip(others[:count], others[count:], strict=True)]
+    for kind in ("all", *dict.fromkeys(with_it["with"] for _, with_it, _ in answers)):
+        mine = [one for one in answers if kind in ("all", one[1]["with"])]
+        moved = [_moved(deaf, with_it) for deaf, with_it, _ in mine]
         far = np.array([value for value in moved if np.isfinite(value)])
         cells = [kind, str(len(mine))]
         cells += [f"{np.median(far):.3f}", f"{np.max(far):.3f}"] if len(far) else ["", ""]
-        cells.append(_percent(int(np.sum(far <= 0.1)), len(far)))
-        cells.append(str(sum(deaf.verdict != answer.verdict for _, deaf, answer, _ in mine)))
-        cells.append(_percent(sum(alone == "ok" for *_, alone in mine), len(mine)))
-        lines.append(table_line(cells, widths))
+        cells.append(_share(int(np.sum(far <= 0.1)), len(far)))
+        cells.append(str(sum(deaf["verdict"] != it["verdict"] for deaf, it, _ in mine)))
+        cells.append(_share(sum(alone["verdict"] == "ok" for *_, alone in mine), len(mine)))
+        lines.append(cells)
     return lines
 
 
-def _moved(deaf: SoundAnswer, heard: SoundAnswer) -> float:
+_UNEVEN = "Each impact returns .3 % more or less than the ball's law says (one standard deviation)"
+# By section: what its table shows, and its lines.
+_TABLES: dict[str, tuple[str, Callable[[Trials], list[list[str]]]]] = {
+    "alone": (
+        "Bounces by their sound alone: restitution at the second impact. Answered: with an "
+        "interval, or ok. Errors, coverage and width (median) are of those. Bound: mean error that "
+        "onsets with this jitter allow.",
+        _alone,
+    ),
+    "phyphox": (
+        "The same clips by phyphox's way, its threshold at its best for each. Hears 3, 5: a "
+        "threshold hears the first 3, 5 impacts first. Errors where both answer, at the second "
+        "impact.",
+        _phyphox,
+    ),
+    "negatives": ("Sounds that are no bounce of one ball: verdicts.", _negatives),
+    "films": (
+        "Films at 30 fps, sound at 20 dB: restitution at the first impact, without and with "
+        "their sound.",
+        _films,
+    ),
+    "uneven": (f"{_UNEVEN}: the law's restitution at the second impact, by sound alone.", _alone),
+    "uneven-films": ("Films of such balls: the law's restitution at the first impact.", _films),
+    "unrelated": (
+        "Tracks at 30 Hz with a sound that is not theirs: how far the value moves, in "
+        "widths of its interval. Alone: ok by that sound alone.",
+        _unrelated,
+    ),
+}
+
+
+def _width(row: Row) -> float:
+    return row["high"] - row["low"]
+
+
+def _moved(deaf: Row, heard: Row) -> float:
     """Return how far a value moves, in widths of the interval without sound; NaN without one."""
-    if not np.isfinite(deaf.width):
+    if not np.isfinite(_width(deaf)):
         return np.nan
-    return abs(heard.value - deaf.value) / deaf.width if np.isfinite(heard.value) else np.inf
+    moved = abs(heard["value"] - deaf["value"]) / _width(deaf)
+    return moved if np.isfinite(heard["value"]) else np.inf
 
 
-def _covered(told: Sequence[tuple[SoundAnswer, float]]) -> list[str]:
+def _errors(rows: Sequence[Row]) -> tuple[float, float, float]:
+    """Return mean, median and largest absolute error."""
+    errors = np.abs([row["value"] - row["truth"] for row in rows])
+    return float(np.mean(errors)), float(np.median(errors)), float(np.max(errors))
+
+
+def _rates(rows: Sequence[Row]) -> list[str]:
+    """Return how many are answered, and ok."""
+    ok = sum(row["verdict"] == "ok" for row in rows)
+    return [_share(sum(map(is_answered, rows)), len(rows)), _share(ok, len(rows))]
+
+
+def _covered(rows: Sequence[Row]) -> list[str]:
     """Return coverage and median width of those that have an interval."""
-    sure = [(answer, truth) for answer, truth in told if np.isfinite(answer.width)]
-    covered = sum(answer.covers(truth) for answer, truth in sure)
-    widths = [answer.width for answer, _ in sure]
-    return [_percent(covered, len(sure)), f"{np.median(widths):.4f}" if widths else ""]
+    sure = [row for row in rows if np.isfinite(_width(row))]
+    covered = sum(row["low"] <= row["truth"] <= row["high"] for row in sure)
+    return [_share(covered, len(sure)), f"{np.median(list(map(_width, sure))):.4f}" if sure else ""]
 
 
-def _percent(part: int, whole: int) -> str:
+def _share(part: int, whole: int) -> str:
     return f"{100 * part / whole:.1f} %" if whole else ""
-
-
-def _milliseconds(values_s: np.ndarray) -> str:
-    known = values_s[np.isfinite(values_s)]
-    return f"{1000 * np.median(known):.2f} ms" if len(known) else ""

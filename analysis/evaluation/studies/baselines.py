@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,6 @@ class BestVisited(Estimator):
 
 # ---- CMA-ES (Hansen 2016), set up as for the paper's table 2.
 
-
 _SIGMA = 0.1
 _TOLERANCE = 0.1
 
@@ -75,9 +74,6 @@ class CmaEs(Estimator):
 
     The paper's columns for 1, 5 and 10 rollouts are all the value after the first generation.
 
-    Args:
-        seed: of its sampling.
-        population: points in a generation.
     """
 
     name = "cma-es"
@@ -117,9 +113,6 @@ class Constant(Estimator):
     The Mean of the paper's table 2 is given the mean of the test set's targets, which no method
     that has to find them could know.
 
-    Args:
-        value: of the problem's only parameter.
-        name: what it is called.
     """
 
     def __init__(self, value: float, name: str = "mean") -> None:
@@ -170,7 +163,6 @@ def direct_pairs(pairs: PairSet) -> PairSet:
 
 # ---- Greedy entropy search (Zhu et al. 2018, algorithm 2), as the TuneNet paper's appendix has it.
 
-
 _BINS = 50
 _SAMPLES = 100  # functions drawn from the process; both as in the TuneNet paper's appendix
 
@@ -188,14 +180,10 @@ class EntropySearch(Estimator):
     bin, 200 functions are drawn rather than 100, and it stops the first time that the estimate is
     repeated.
 
-    Args:
-        bins: smallest and largest value looked at. The authors take those of the *test set's
-            targets*, which no method that has to find them could know. Where they are the same
-            there is one bin, which is the answer after the first rollout.
-        seed: of its sampling.
-        patience: steps in a row without a change of the estimate after which it stops; None to go
-            on while there are rollouts.
-        samples: functions drawn.
+    The bins lie between the smallest and the largest value looked at: the authors take those of the
+    *test set's targets*, which no method that has to find them could know. Where they are the same
+    there is one bin, which is the answer after the first rollout. It stops after `patience` steps
+    in a row without a change of the estimate; None to go on while there are rollouts.
     """
 
     name = "entropy-search"
@@ -275,7 +263,6 @@ def _fitted(positions: Array, errors: Array, width: float) -> Any:
 
 
 # ---- Neural posterior estimation (NPE): a density of the parameter from the target alone.
-
 
 INTERVAL = (0.025, 0.975)  # quantiles between which a 95 % credible interval lies
 _CELLS = 4000  # of the grid: 1/4000 of the prior's range is far below any posterior's width
@@ -358,7 +345,6 @@ def middles(edges: Array) -> Array:
 # ---- The bridge to `sbi`, which trains the posterior by its defaults.
 # Its words on standard output and its warnings stay here, and so do its logs for TensorBoard.
 
-
 _ENDLESS = 2**31 - 1  # the library's own limit: training ends when it no longer helps
 # Passes without improvement, simulations in a step, learning rate, units of a layer. The library's
 # 20, 200, 5e-4 and 50 leave larger errors (chosen on seeds that no table is made of).
@@ -432,7 +418,10 @@ def train_posterior(
         torch.manual_seed(seed)
         low, high = (torch.tensor([bound]) for bound in bounds)
         inference = NPE(
-            BoxUniform(low, high), _builder(), show_progress_bars=False, tracker=_NoTracker()
+            BoxUniform(low, high),
+            _builder(),
+            show_progress_bars=False,
+            tracker=cast(Any, _NoTracker()),
         )
         seen = torch.tensor(observations, dtype=torch.float32)
         wanted = torch.tensor(values[:, None], dtype=torch.float32)
@@ -471,17 +460,5 @@ class _NoTracker:
 
     log_dir = None
 
-    def log_metric(self, name: str, value: float, step: int | None = None) -> None:
-        """Log nothing."""
-
-    def log_metrics(self, metrics: dict[str, float], step: int | None = None) -> None:
-        """Log nothing."""
-
-    def log_params(self, params: dict[str, Any]) -> None:
-        """Log nothing."""
-
-    def add_figure(self, name: str, figure: Any, step: int | None = None) -> None:
-        """Log nothing."""
-
-    def flush(self) -> None:
-        """Flush nothing."""
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        return lambda *_, **__: None

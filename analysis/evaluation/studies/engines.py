@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,14 +18,7 @@ from tunenet_logs.analysis.drop.motion import matched
 from tunenet_logs.analysis.drop.presets import PAPER_RADIUS_M, PAPER_RATE_HZ, PAPER_SAMPLES
 from tunenet_logs.analysis.estimators.base import Step
 from tunenet_logs.analysis.evaluation.studies.drop_methods import EASY, HARD, draw_targets
-from tunenet_logs.analysis.evaluation.study import (
-    csv_text,
-    json_text,
-    seeds_in_words,
-    short,
-    short_or_dash,
-    table_line,
-)
+from tunenet_logs.analysis.evaluation.study import Order, Part, Row, figure, scored, short, table
 from tunenet_logs.analysis.evaluation.worlds import ball as physics
 from tunenet_logs.analysis.evaluation.worlds.ball import (
     DRAGS_1_M,
@@ -41,7 +33,7 @@ from tunenet_logs.analysis.evaluation.worlds.ball import (
     fallen,
 )
 from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.analysis.parallel import Piece, parallel_map
+from tunenet_logs.analysis.parallel import Piece
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
@@ -252,69 +244,41 @@ ROLLOUTS = 5  # of each tuning: `tunenet-tune --iterations 5`
 METHODS = ("tunenet", "tunenet+refine")
 
 NAMES = (*ENGINES, EXACT)  # sources, and engines that are tuned
-_PORTION = 5  # targets in a portion: few, so that the processes end together
 _TOPIC = "/vrpn/ball/pose"
 _START_NS = 1_700_000_000_000_000_000
 
 
 @dataclass(frozen=True)
-class EngineOrder:
-    """Settings of the experiment."""
-
-    seeds: tuple[int, ...]  # each draws its own targets
-    targets: int  # of each range and seed
-    jobs: int | None = None  # processes; None for all cores
-
-
-@dataclass(frozen=True)
-class EnginePortion:
-    """Targets made by one engine and tuned in another: what one process does in one go."""
+class Portion:
+    """Targets made by one engine and tuned in another."""
 
     source: str
     engine: str
     targets: tuple[EngineTarget, ...]
 
 
-@dataclass(frozen=True)
-class TunedTarget:
-    """Result of one method on a target."""
-
-    wanted: float  # effective restitution of the target, by the height of its first rebound
-    found: float  # of the tuned ball in the engine that was tuned, likewise
-    # rms difference of the two motions over the bounces in view [% of the drop]
-    apart_percent: float
-    is_ok: bool  # whether that is the tuning's verdict, and not "suspect"
-
-    @property
-    def error(self) -> float:
-        """Absolute error of the effective restitution."""
-        return abs(self.found - self.wanted)
-
-
-@dataclass(frozen=True)
-class EngineLine:
-    """Targets of one range from one source, tuned in one engine by one method."""
-
-    source: str
-    engine: str  # that is tuned
-    promise: Promise
-    method: str
-    missing: str | None  # which of the two engines is not installed; None where both are
-    targets: int  # how many were posed
-    # of those that were answered: a ball that stays down has no restitution to tune
-    outcomes: tuple[TunedTarget, ...]
-
-    @property
-    def ok_errors(self) -> tuple[float, ...]:
-        """Errors of the effective restitution where the verdict is ok."""
-        return tuple(one.error for one in self.outcomes if one.is_ok)
-
-    @property
-    def is_kept(self) -> bool | None:
-        """Whether the promise is kept where the verdict is ok; None without either."""
-        if self.promise.worst is None or self.method != METHODS[-1] or not self.ok_errors:
-            return None
-        return max(self.ok_errors) <= self.promise.worst
+def run(order: Order, progress: Progress) -> Iterator[Part]:
+    """Tune every pair of source and engine, range by range."""
+    cells = [(one, source, tuned) for one in RANGES for source in NAMES for tuned in NAMES]
+    cases: dict[tuple[Promise, str, str], list[Piece[Portion]]] = {}
+    for promise, source, tuned in cells:
+        drawn = [
+            target
+            for seed in order.seeds
+            for target in drawn_targets(promise.name, order.targets, seed)
+        ]
+        portions = [drawn[at : at + 5] for at in range(0, len(drawn), 5)]
+        if missing_engine(source, tuned) is None:
+            cases[promise, source, tuned] = [
+                Piece(Portion(source, tuned, tuple(some)), len(some), f"{source} to {tuned}")
+                for some in portions
+            ]
+    done = scored(tuned_targets, cases, order, progress, ("tuning", "target"))
+    count = len(order.seeds) * order.targets
+    rows = [
+        line_of(*cell, method, count, done.get(cell, [])) for cell in cells for method in METHODS
+    ]
+    yield Part("", engine_tables(rows, order), rows)
 
 
 def missing_engine(*names: str) -> str | None:
@@ -328,76 +292,45 @@ def missing_engine(*names: str) -> str | None:
     return None
 
 
-def engine_lines(order: EngineOrder, progress: Progress) -> list[EngineLine]:
-    """Tune every pair of source and engine, range by range; the same for any number of jobs."""
-    pairs = [(source, tuned) for source in NAMES for tuned in NAMES]
-    missing = {pair: missing_engine(*pair) for pair in pairs}
-    cells: list[tuple[Promise, tuple[str, str], slice]] = []
-    pieces: list[Piece[EnginePortion]] = []
-    for promise in RANGES:
-        drawn = [
-            target
-            for seed in order.seeds
-            for target in drawn_targets(promise.name, order.targets, seed)
-        ]
-        for pair in pairs:
-            start = len(pieces)
-            for at in range(0, len(drawn) if missing[pair] is None else 0, _PORTION):
-                portion = EnginePortion(*pair, tuple(drawn[at : at + _PORTION]))
-                pieces.append(Piece(portion, len(portion.targets), " to ".join(pair)))
-            cells.append((promise, pair, slice(start, len(pieces))))
-    done = parallel_map(tuned_targets, pieces, order.jobs, progress, ("tuning", "target"))
-    count = len(order.seeds) * order.targets
-    return [
-        EngineLine(*pair, promise, method, missing[pair], count, _answered(done[own], method))
-        for promise, pair, own in cells
-        for method in METHODS
-    ]
-
-
-def _answered(
-    portions: Sequence[list[dict[str, TunedTarget]]], method: str
-) -> tuple[TunedTarget, ...]:
-    return tuple(one[method] for portion in portions for one in portion if method in one)
-
-
-def tuned_targets(portion: EnginePortion) -> list[dict[str, TunedTarget]]:
-    """Tune each target by each method; nothing where the tuning rejects it."""
+def tuned_targets(portion: Portion) -> list[Row]:
+    """Tune each target; a row for each method, none where the tuning rejects it."""
     with simulated_in(portion.engine):
-        return [_tuned(portion.source, portion.engine, target) for target in portion.targets]
+        return [
+            row
+            for target in portion.targets
+            for row in _tuned(portion.source, portion.engine, target)
+        ]
 
 
-def _tuned(source: str, tuned_engine: str, target: EngineTarget) -> dict[str, TunedTarget]:
+def _tuned(source: str, tuned_engine: str, target: EngineTarget) -> Iterator[Row]:
     drop_m = target.ball.drop_m
     heights_m = source_m(source, target.ball, target.seconds)
+    # The log in memory: positions alone, nothing of ball, table or release.
+    positions_m = np.zeros((len(heights_m), 3))
+    positions_m[:, 2] = RADIUS_M + heights_m
+    stamps_ns = _START_NS + np.round(1e9 * target.seconds).astype(np.int64)
+    signal = Signal(_TOPIC, stamps_ns, positions_m, ("x", "y", "z"), "m")
     options = TuneOptions(task="drop", iterations=ROLLOUTS, initial=(target.initial,))
-    tuning = tune_episode(_recorded(target.seconds, heights_m), options)
+    tuning = tune_episode(Episode(EpisodeInfo(), {_TOPIC: signal}), options)
     trace = tuning.trace
     if trace is None:
-        return {}
+        return
     last_of_network = trace.steps[-2] if trace.fit is not None else trace.steps[-1]
     fine_s = fine_seconds(drop_m)
     wanted = rebound_restitution(source_m(source, target.ball, fine_s))
-    found: dict[str, TunedTarget] = {}
     for method, step in zip(METHODS, (last_of_network, trace.steps[-1]), strict=True):
         restitution, slope, drag_1_m = step.values.tolist()
         tuned = RealBall(restitution, slope, drag_1_m, drop_m)
-        found[method] = TunedTarget(
-            wanted,
-            rebound_restitution(simulated_m(tuned_engine, tuned, fine_s)),
-            apart_percent(heights_m, _rolled_out_m(step, target.seconds)),
-            tuning.verdict == "ok",
-        )
-    return found
-
-
-def _recorded(seconds: Array, heights_m: Array) -> Episode:
-    """Build the log in memory: positions alone, nothing of ball, table or release."""
-    stamps_ns = _START_NS + np.round(1e9 * seconds).astype(np.int64)
-    positions_m = np.zeros((len(seconds), 3))
-    positions_m[:, 2] = RADIUS_M + heights_m
-    signal = Signal(_TOPIC, stamps_ns, positions_m, ("x", "y", "z"), "m")
-    return Episode(EpisodeInfo(), {_TOPIC: signal})
+        found = rebound_restitution(simulated_m(tuned_engine, tuned, fine_s))
+        yield {
+            "method": method,
+            "wanted": wanted,  # effective restitution, by the height of the first rebound
+            "found": found,  # of the tuned ball in the engine that was tuned, likewise
+            "error": abs(found - wanted),
+            # rms difference of the two motions over the bounces in view [% of the drop]
+            "apart_percent": apart_percent(heights_m, _rolled_out_m(step, target.seconds)),
+            "is_ok": tuning.verdict == "ok",
+        }
 
 
 def _rolled_out_m(step: Step, seconds: Array) -> Array:
@@ -411,124 +344,79 @@ def _rolled_out_m(step: Step, seconds: Array) -> Array:
     return heights_m
 
 
-# ---- JSON and CSV: one row for each range, pair of engines and method.
+# ---- Figures and tables.
 
 
-# Of the CSV.
-COLUMNS = (
-    "set",
-    "source",
-    "engine",
-    "method",
-    "missing",
-    "targets",
-    "answered",
-    "ok",
-    "mean",
-    "worst",
-    "worst_ok",
-    "promised",
-    "is_kept",
-    "motion_mean_percent",
-    "motion_worst_percent",
-)
-
-
-def engines_json(lines: Sequence[EngineLine], order: EngineOrder) -> str:
-    """Serialise every figure, and every target behind it."""
-    rows = [{**_record(line), "outcomes": [asdict(one) for one in line.outcomes]} for line in lines]
-    head = {"experiment": "engines", "seeds": list(order.seeds), "targets": order.targets}
-    return json_text({**head, "rollouts": ROLLOUTS, "rows": rows})
-
-
-def engines_csv(lines: Sequence[EngineLine]) -> str:
-    """Format the figures alone; an empty field where there is none."""
-    return csv_text(COLUMNS, [_record(line) for line in lines])
-
-
-def _record(line: EngineLine) -> dict[str, Any]:
-    errors = [one.error for one in line.outcomes]
-    apart = [one.apart_percent for one in line.outcomes]
-    figures = (
-        line.promise.name,
-        line.source,
-        line.engine,
-        line.method,
-        line.missing,
-        line.targets,
-        len(line.outcomes),
-        len(line.ok_errors),
-        float(np.mean(errors)) if errors else None,
-        max(errors, default=None),
-        max(line.ok_errors, default=None),
-        line.promise.worst,
-        line.is_kept,
-        float(np.mean(apart)) if apart else None,
-        max(apart, default=None),
+def line_of(
+    promise: Promise, source: str, tuned: str, method: str, targets: int, scores: Sequence[Row]
+) -> Row:
+    """Return the figures of one range from one source, tuned in one engine by one method."""
+    own = [one for one in scores if one["method"] == method]
+    errors, ok_errors = (
+        [one["error"] for one in own if one["is_ok"] or not only_ok] for only_ok in (False, True)
     )
-    return dict(zip(COLUMNS, figures, strict=True))
+    apart = [one["apart_percent"] for one in own]
+    is_promised = promise.worst is not None and method == METHODS[-1] and bool(ok_errors)
+    return {
+        "set": promise.name,
+        "source": source,
+        "engine": tuned,
+        "method": method,
+        "missing": missing_engine(source, tuned),  # which of the two is not installed
+        "targets": targets,
+        # a ball that stays down has no restitution to tune
+        "answered": len(own),
+        "ok": len(ok_errors),
+        "mean": figure(errors),
+        "worst": figure(errors, np.max),
+        "worst_ok": figure(ok_errors, np.max),
+        "promised": promise.worst,
+        "is_kept": max(ok_errors) <= (promise.worst or 0) if is_promised else None,
+        "motion_mean_percent": figure(apart),
+        "motion_worst_percent": figure(apart, np.max),
+        "outcomes": [dict(one) for one in own],
+    }
 
 
-# ---- Tables for a terminal.
-
-
-_WIDTHS = (10, 10, 7, 12, 8, 8, 10, 8, 8, 10, 10, 0)
-
-
-def engine_tables(lines: Sequence[EngineLine], order: EngineOrder) -> str:
+def engine_tables(rows: Sequence[Row], order: Order) -> str:
     """Tabulate all pairs for each range, each with the network alone and with the default."""
-    head = [
-        f"Made in one engine, tuned in another; {seeds_in_words(order.seeds)}, {order.targets} "
-        f"targets each, {ROLLOUTS} rollouts.",
-        "mean, worst: error of the effective restitution (the root of the first rebound's height",
-        "over the drop's), by the source's motion and the tuned simulator's, of all answered.",
-        "motion: rms difference of the two over the bounces in view, mean [% of the drop height].",
-        "worst ok: of those whose verdict is ok, not suspect; a promise is for them.",
+    head = (
+        f"Made in one engine, tuned in another; {order.seeds_in_words}, {order.targets} "
+        f"targets each, {ROLLOUTS} rollouts.\n"
+        "mean, worst: error of the effective restitution (the root of the first rebound's height\n"
+        "over the drop's), by the source's motion and the tuned simulator's, of all answered.\n"
+        "motion: rms difference of the two over the bounces in view, mean [% of the drop height].\n"
+        "worst ok: of those whose verdict is ok, not suspect; a promise is for them."
+    )
+    return "\n\n".join([head, *(_table(one, rows) for one in RANGES)])
+
+
+def _table(promise: Promise, rows: Sequence[Row]) -> str:
+    network, default = (
+        [one for one in rows if one["set"] == promise.name and one["method"] == name]
+        for name in METHODS
+    )
+    title = f"{promise.name} (slope and drag; nothing is promised)"
+    if promise.worst is not None:
+        kept = [one["is_kept"] for one in default if one["is_kept"] is not None]
+        title = (
+            f"{promise.name} (promised of {METHODS[-1]}: worst within {short(promise.worst)}; "
+            f"kept by {sum(kept)} of {len(kept)} pairs)"
+        )
+    lines = [
+        ["", "", "", "", METHODS[0], "", "", METHODS[1]],
+        ["source", "tuned in", "ok", "answered", *2 * ("mean", "worst", "motion"), "worst ok"],
     ]
-    return "\n".join(head) + "".join(f"\n\n{_table(one, lines)}" for one in RANGES)
-
-
-def _table(promise: Promise, lines: Sequence[EngineLine]) -> str:
-    own = [line for line in lines if line.promise == promise]
-    network, default = ([line for line in own if line.method == name] for name in METHODS)
-    methods = table_line(("", "", "", "", METHODS[0], "", "", METHODS[1]), _WIDTHS)
-    columns = ("mean", "worst", "motion")
-    rows = [
-        methods,
-        table_line(
-            ("source", "tuned in", "ok", "answered", *columns, *columns, "worst ok"), _WIDTHS
-        ),
-        *(_row(*pair) for pair in zip(network, default, strict=True)),
-    ]
-    return "\n".join([f"{promise.name}{_promised(promise, default)}", *rows])
-
-
-def _promised(promise: Promise, lines: Sequence[EngineLine]) -> str:
-    if promise.worst is None:
-        return " (slope and drag; nothing is promised)"
-    verdicts = [line.is_kept for line in lines if line.is_kept is not None]
-    kept = f"kept by {sum(verdicts)} of {len(verdicts)} pairs"
-    return f" (promised of {METHODS[-1]}: worst within {short(promise.worst)}; {kept})"
-
-
-def _row(network: EngineLine, default: EngineLine) -> str:
-    if default.missing is not None:
-        why = f"not run: {default.missing} is not installed"
-        return table_line((default.source, default.engine, why), _WIDTHS)
-    ok, answered = len(default.ok_errors), f"{len(default.outcomes)} of {default.targets}"
-    cells = [default.source, default.engine, str(ok), answered]
-    cells += [
-        *_figures(network),
-        *_figures(default),
-        short_or_dash(max(default.ok_errors, default=None)),
-    ]
-    missed = "missed" if default.is_kept is False else ""
-    return table_line((*cells, missed), _WIDTHS)
-
-
-def _figures(line: EngineLine) -> tuple[str, str, str]:
-    if not line.outcomes:
-        return "-", "-", "-"
-    motion = float(np.mean([one.apart_percent for one in line.outcomes]))
-    errors = [one.error for one in line.outcomes]
-    return short(float(np.mean(errors))), short(max(errors)), f"{short(motion)} %"
+    for one, full in zip(network, default, strict=True):
+        cells = [full["source"], full["engine"]]
+        if full["missing"] is not None:
+            lines.append([*cells, f"not run: {full['missing']} is not installed"])
+            continue
+        cells += [str(full["ok"]), f"{full['answered']} of {full['targets']}"]
+        for each in (one, full):
+            motion = each["motion_mean_percent"]
+            cells += [short(each["mean"]), short(each["worst"])]
+            cells.append("-" if motion is None else f"{short(motion)} %")
+        missed = "missed" if full["is_kept"] is False else ""
+        lines.append([*cells, short(full["worst_ok"]), missed])
+    return table(lines, title)

@@ -9,7 +9,6 @@ trained on single drops and see a run's release, its first steps, or every state
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from textwrap import wrap
@@ -41,26 +40,30 @@ from tunenet_logs.analysis.evaluation.studies.drop_methods import (
     PAPER_CODE,
     DropProblems,
     DropTarget,
-    Effort,
     draw_targets,
     grouped_pairs,
+    paper_rig,
     train_networks,
 )
-from tunenet_logs.analysis.evaluation.study import csv_text, json_text, seeds_in_words, table_line
+from tunenet_logs.analysis.evaluation.study import Order, Part, Row, table
+from tunenet_logs.analysis.registry import needed
 from tunenet_logs.analysis.statistics import noise_of
 from tunenet_logs.analysis.tunenet.network import (
     AntisymmetricNetwork,
     Model,
     PairSet,
+    Weights,
     consecutive_pairs,
+    linear,
     observe_all,
+    tanh,
     train,
 )
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.recorders.simulators.ball import RESTITUTION, TOPIC, DropRig, DropSimulator
 from tunenet_logs.recorders.simulators.base import PAPER
 from tunenet_logs.recorders.simulators.known import engine
-from tunenet_logs.terminal import Progress
+from tunenet_logs.terminal import Bar, Progress
 
 if TYPE_CHECKING:
     import torch
@@ -75,7 +78,7 @@ class FilmedProblems:
     """Problems of filmed test cases, all in one world of the engine."""
 
     def __init__(self) -> None:
-        self._world = DropSimulator(_rig(PAPER_HEIGHT_M[0]), PAPER)
+        self._world = DropSimulator(paper_rig(PAPER_HEIGHT_M[0]), PAPER)
 
     def rows(self, target: DropTarget) -> Array:
         """Return the ball's image rows; see `paper_rows`. The target's seed draws the camera."""
@@ -85,17 +88,19 @@ class FilmedProblems:
     def pose_papers(self, target: DropTarget) -> Problem:
         """Pose a test case as the paper's network sees it."""
         seen = _observation(filled(self.rows(target)), "y [picture heights]")
-        return Problem(seen, self._simulator(target), paper_unit_heights, _guess(target))
+        return Problem(
+            seen, self._simulator(target), paper_unit_heights, np.array([target.initial])
+        )
 
     def pose_ours(self, target: DropTarget) -> Problem:
         """Pose a test case as ours sees it: rows in their own range, simulations as best seen."""
         simulator = self._simulator(target)
         seen = places_in_view(self.rows(target))
         observe = partial(_as_seen, seen=seen, rig=simulator.rig)
-        return Problem(_observation(seen, _PLACES), simulator, observe, _guess(target))
+        return Problem(_observation(seen, _PLACES), simulator, observe, np.array([target.initial]))
 
     def _simulator(self, target: DropTarget) -> DropSimulator:
-        return self._world.with_rig(_rig(target.release_m))
+        return self._world.with_rig(paper_rig(target.release_m))
 
 
 _PLACES = "place in the picture [range of the ball's]"
@@ -174,35 +179,11 @@ def _observation(values: Array, name: str) -> Observation:
     return Observation(values[:, None].copy(), paper_axis(), "time [s]", (name,))
 
 
-def _guess(target: DropTarget) -> Array:
-    return np.array([target.initial])
-
-
-def _rig(release_m: float) -> DropRig:
-    return DropRig(release_m - PAPER_RADIUS_M, PAPER_RADIUS_M, PAPER_RATE_HZ, PAPER_SAMPLES)
-
-
 # ---- Networks for filmed drops, on the paper's budget: the 1600 rollouts of `grouped_pairs`.
 # The target of a pair is filmed by a camera of its own, the other rollout is what it looks like to
 # the camera that suits it most: what is left between the two is not the camera's.
 
-
 _TRAINING = replace(OUR_TRAINING, weight_decay=0.1, cut_share=0.0)
-
-
-def train_papers_on_films(
-    seed: int,
-    jobs: int | None,
-    progress: Progress,
-    pairs: int | None = None,
-    epochs: int | None = None,
-) -> Model:
-    """Train the paper's network by its text; `pairs` and `epochs` override the preset."""
-    paper = FILM_TRAININGS["paper"]
-    recipe = replace(paper.recipe, epochs=epochs or paper.recipe.epochs)
-    return train(
-        paper.network, paper.make_pairs(pairs, seed, jobs, progress), recipe, seed, progress
-    )
 
 
 def train_ours_on_films(
@@ -218,13 +199,8 @@ def train_ours_on_films(
     return train(AntisymmetricNetwork(), data, recipe, seed, progress)
 
 
-@dataclass(frozen=True, eq=False)
-class _Take:
-    """Pair to film: heights of the ball's centre [m], each of shape (T,); the camera's seed."""
-
-    proposed_m: Array
-    target_m: Array
-    seed: int
+# Pair to film: heights of both balls' centres [m], each of shape (T,), and the camera's seed.
+_Take = tuple[Array, Array, int]
 
 
 def filmed_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
@@ -235,8 +211,8 @@ def filmed_pairs(count: int | None, seed: int, jobs: int | None, progress: Progr
     proposed, target = pairs.proposed[chosen], pairs.target[chosen]
     heights_m = pairs.observations[:, :, 0]
     cameras = rng.integers(2**62, size=len(target))
-    takes = [
-        _Take(heights_m[one], heights_m[other], int(camera))
+    takes: list[_Take] = [
+        (heights_m[one], heights_m[other], int(camera))
         for one, other, camera in zip(proposed, target, cameras, strict=True)
     ]
     curves = observe_all(_film, takes, jobs, progress)
@@ -252,15 +228,15 @@ def _film(takes: Sequence[_Take]) -> NDArray[Any]:
 
 
 def _both(take: _Take) -> tuple[Array, Array]:
-    positions_m = np.zeros((len(take.target_m), 3))
-    positions_m[:, 2] = take.target_m
-    seen = places_in_view(paper_rows(positions_m, np.random.default_rng(take.seed)))
-    drop_m = take.proposed_m - PAPER_RADIUS_M
+    proposed_m, target_m, seed = take
+    positions_m = np.zeros((len(target_m), 3))
+    positions_m[:, 2] = target_m
+    seen = places_in_view(paper_rows(positions_m, np.random.default_rng(seed)))
+    drop_m = proposed_m - PAPER_RADIUS_M
     return as_seen(drop_m / drop_m.max(), seen), seen
 
 
 # ---- One-step predictors: their interface, and the loop that runs them.
-
 
 Memory = Any  # what a predictor keeps of a run; None where it keeps nothing
 
@@ -277,28 +253,18 @@ class Stepper(Protocol):
         ...
 
     def learn(self, memory: Memory, states: Array | None, /) -> Memory:
-        """Update the memory with what came of the forecast.
-
-        Args:
-            memory: what `forecast` returned.
-            states: the true states, shape (N, 2); None where nobody sees them, and the forecast
-                is all there is to go by.
-        """
+        """Update what `forecast` returned by the true states; None where nobody sees them."""
         ...
 
 
 def predict(stepper: Stepper, truth: Array, seen: int) -> Array:
-    """Predict the heights of whole runs.
+    """Predict the heights of whole runs [m], after each step, shape (N, T).
 
     Args:
         stepper: the predictor.
         truth: states, shape (N, T + 1, 2), the release first.
-        seen: so many steps after the release are seen: each of these is predicted one step ahead
-            of the true state before it, the others from the predictor's own forecasts. T is
-            one-step prediction throughout, 0 a free rollout from the release.
-
-    Returns:
-        Heights [m] after each step, shape (N, T).
+        seen: so many steps after the release are seen: each is predicted one step ahead of the true
+            state before it, the others from the predictor's own forecasts.
     """
     runs, steps = len(truth), truth.shape[1] - 1
     heights_m = np.empty((runs, steps))
@@ -339,7 +305,6 @@ def stand_still(states: Array) -> Array:
 
 
 # ---- States of dropped balls, and one step of the engine from any of them.
-
 
 PERIOD_S = 1 / PAPER_RATE_HZ
 MIDDLE_RESTITUTION = sum(PAPER_RESTITUTION) / 2
@@ -414,9 +379,6 @@ def training_drops(count: int, seed: int, progress: Progress) -> Transitions:
 # ---- Layers whose forward pass NumPy arrays and torch tensors share.
 
 
-Weights = Mapping[str, Any]  # arrays or tensors by name
-
-
 def first_weights(
     sizes: Mapping[str, tuple[int, int]], rng: np.random.Generator
 ) -> dict[str, Array]:
@@ -427,21 +389,6 @@ def first_weights(
         weights[f"{name}.weight"] = rng.uniform(-reach, reach, (inputs, outputs))
         weights[f"{name}.bias"] = rng.uniform(-reach, reach, outputs)
     return weights
-
-
-def linear(weights: Weights, name: str, values: Any) -> Any:
-    """Apply a layer without its nonlinearity."""
-    return values @ weights[f"{name}.weight"] + weights[f"{name}.bias"]
-
-
-def tanh(values: Any) -> Any:
-    """Return the hyperbolic tangent."""
-    return np.tanh(values) if isinstance(values, np.ndarray) else values.tanh()
-
-
-def sigmoid(values: Array) -> Array:
-    """Return the logistic function, by way of tanh, which cannot overflow."""
-    return np.tanh(values / 2) / 2 + 0.5
 
 
 def as_tensors(weights: Mapping[str, Array]) -> dict[str, torch.Tensor]:
@@ -459,15 +406,40 @@ def as_arrays(weights: Mapping[str, torch.Tensor]) -> dict[str, Array]:
     return {name: value.detach().numpy().astype(np.float64) for name, value in weights.items()}
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Restrict torch to one thread in a block: networks this small gain nothing from two."""
+def optimize(
+    optimizer: torch.optim.Optimizer,
+    recipe: NeuralRecipe | VrnnRecipe,
+    count: int,
+    loss_of: Callable[[torch.Tensor, torch.Generator], torch.Tensor],
+    seed: int,
+    bar: Bar,
+    most_gradient: float = np.inf,
+) -> None:
+    """Descend a loss of chosen cases, `count` in all, by a one-cycle learning rate.
+
+    It has one thread of torch: networks this small gain nothing from two.
+    """
     import torch
 
+    parameters = optimizer.param_groups[0]["params"]
+    total = recipe.epochs * int(np.ceil(count / recipe.batch))
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, recipe.learning_rate, total_steps=total
+    )
+    generator = torch.Generator().manual_seed(seed)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        yield
+        for _ in range(recipe.epochs):
+            for chosen in torch.randperm(count, generator=generator).split(recipe.batch):
+                loss = loss_of(chosen, generator)
+                optimizer.zero_grad()
+                loss.backward()
+                if np.isfinite(most_gradient):
+                    torch.nn.utils.clip_grad_norm_(parameters, most_gradient)
+                optimizer.step()
+                schedule.step()
+            bar.update(1)
     finally:
         torch.set_num_threads(threads)
 
@@ -522,21 +494,13 @@ def train_neural(states: Array, recipe: NeuralRecipe, seed: int, progress: Progr
         "out": (recipe.width, 2),
     }
     weights = as_tensors(first_weights(sizes, np.random.default_rng(seed)))
+
+    def loss_of(chosen: torch.Tensor, _: torch.Generator) -> torch.Tensor:
+        return ((_changes(weights, inputs[chosen]) - wanted[chosen]) ** 2).mean()
+
     optimizer = torch.optim.AdamW(weights.values(), weight_decay=0.0)
-    batches = int(np.ceil(len(inputs) / recipe.batch))
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, recipe.learning_rate, total_steps=recipe.epochs * batches
-    )
-    generator = torch.Generator().manual_seed(seed)
-    with one_thread(), progress.bar(recipe.epochs, "training Neural", "epoch") as bar:
-        for _ in range(recipe.epochs):
-            for chosen in torch.randperm(len(inputs), generator=generator).split(recipe.batch):
-                off = _changes(weights, inputs[chosen]) - wanted[chosen]
-                optimizer.zero_grad()
-                (off**2).mean().backward()
-                optimizer.step()
-                schedule.step()
-            bar.update(1)
+    with progress.bar(recipe.epochs, "training Neural", "epoch") as bar:
+        optimize(optimizer, recipe, len(inputs), loss_of, seed, bar)
     return Neural(as_arrays(weights), offset, spread, change)
 
 
@@ -548,7 +512,6 @@ def _changes(weights: Weights, inputs: Any) -> Any:
 # ---- VRNN hybrid: a simulator, and a variational recurrent network for its residual.
 # Ajay et al. 2018 call theirs "decoupled conditional"; what it decouples, the sizes of its layers,
 # its training, and which restitution their simulator was given are not known to us.
-
 
 RESIDUALS = 2  # numbers in x: height and speed
 CONDITION = 4  # numbers in c: the state, and the simulator's step from it
@@ -616,7 +579,8 @@ def remember(weights: Weights, memory: Array, *inputs: Array) -> Array:
     given = linear(weights, "memory.input", joined(*inputs))
     own = linear(weights, "memory.own", memory)
     size = memory.shape[-1]
-    gates = sigmoid(given[:, : 2 * size] + own[:, : 2 * size])
+    # the logistic function, by way of tanh, which cannot overflow
+    gates = np.tanh((given[:, : 2 * size] + own[:, : 2 * size]) / 2) / 2 + 0.5
     reset, keep = gates[:, :size], gates[:, size:]
     candidate = np.tanh(given[:, 2 * size :] + reset * own[:, 2 * size :])
     return keep * memory + (1 - keep) * candidate
@@ -681,7 +645,6 @@ class VrnnHybrid:
 
 # ---- Train the VRNN hybrid: evidence lower bound and forecast error, along whole drops.
 
-
 # What torch calls the layers of its recurrent unit.
 _GRU = {
     "memory.input": ("weight_ih_l0", "bias_ih_l0"),
@@ -729,25 +692,16 @@ def train_vrnn(drops: Transitions, recipe: VrnnRecipe, seed: int, progress: Prog
     gru = recurrent_unit(first, recipe.sizes)
     weights = as_tensors({name: value for name, value in first.items() if "memory." not in name})
     trained = [*weights.values(), *gru.parameters()]
+
+    def loss_of(chosen: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        residual, condition = seen[:, chosen], given[:, chosen]
+        after, _ = gru(joined(residual, condition))
+        before = torch.cat([torch.zeros_like(after[:1]), after[:-1]])
+        return _loss(weights, recipe, residual, condition, before, generator)
+
     optimizer = torch.optim.Adam(trained)
-    updates = int(np.ceil(seen.shape[1] / recipe.batch))
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, recipe.learning_rate, total_steps=recipe.epochs * updates
-    )
-    generator = torch.Generator().manual_seed(seed)
-    with one_thread(), progress.bar(recipe.epochs, "training VRNN hybrid", "epoch") as bar:
-        for _ in range(recipe.epochs):
-            for chosen in torch.randperm(seen.shape[1], generator=generator).split(recipe.batch):
-                residual, condition = seen[:, chosen], given[:, chosen]
-                after, _ = gru(joined(residual, condition))
-                before = torch.cat([torch.zeros_like(after[:1]), after[:-1]])
-                loss = _loss(weights, recipe, residual, condition, before, generator)
-                optimizer.zero_grad()
-                loss.backward()
-                torch.nn.utils.clip_grad_norm_(trained, recipe.most_gradient)
-                optimizer.step()
-                schedule.step()
-            bar.update(1)
+    with progress.bar(recipe.epochs, "training VRNN hybrid", "epoch") as bar:
+        optimize(optimizer, recipe, seen.shape[1], loss_of, seed, bar, recipe.most_gradient)
     return VrnnHybrid(as_arrays(weights) | _layers(gru), recipe.sizes, scales, EngineStep())
 
 
@@ -798,7 +752,6 @@ def _layers(unit: torch.nn.GRU) -> dict[str, Array]:
 
 # ---- Rows of table 3, with the published figures.
 
-
 # Of 400 (1.7 s): the first impact is always among them, at step 51 to 58, and often a second.
 SEEN_STEPS = 100
 
@@ -827,85 +780,53 @@ class MotionRow:
     # predictions; but nothing that errs by 5.8 cm can be one step of 1/60 s ahead, so they stand in
     # every row of theirs
     paper: MotionError | None = None
+    note: str = ""  # what a reader must know
     # measured, one for each seed; None for a row that is not measured
     ours: tuple[MotionError, ...] | None = None
-    note: str = ""  # what a reader must know
 
 
 _NEURAL = MotionError(9.16, 5.8)
 _HYBRID = MotionError(2.42, 1.6)
 
+_ALONE = "the simulator within the hybrid, alone"
+_MIDDLE = "physics at 0.5"
+
 ROWS = (
-    MotionRow("zero", "Zero", "rollout", MotionError(100.0, 97.0), note="predicts z = 0 m"),
+    MotionRow("zero", "Zero", "rollout", MotionError(100.0, 97.0), "predicts z = 0 m"),
     MotionRow(
-        "untuned",
-        "Un-tuned physics",
-        "rollout",
-        MotionError(20.57, 13.8),
-        note=(
-            "rollout of the first guess, U(.3, .7); one restitution of about .665 for every ball "
-            "would give the published figures"
-        ),
+        *("untuned", "Un-tuned physics", "rollout", MotionError(20.57, 13.8)),
+        "rollout of the first guess, U(.3, .7); one restitution of about .665 for every ball would "
+        "give the published figures",
     ),
     MotionRow(
-        "neural-ahead",
-        "Neural",
-        "one step ahead",
-        _NEURAL,
-        note="the published error is larger than that of saying that nothing moves",
+        *("neural-ahead", "Neural", "one step ahead", _NEURAL),
+        "the published error is larger than that of saying that nothing moves",
     ),
     MotionRow("neural-seen", "Neural", "100 steps seen", _NEURAL),
     MotionRow("neural-rollout", "Neural", "rollout", _NEURAL),
     MotionRow("hybrid-ahead", "VRNN hybrid", "one step ahead", _HYBRID),
     MotionRow(
-        "hybrid-seen",
-        "VRNN hybrid",
-        "100 steps seen",
-        _HYBRID,
-        note="its memory holds the impacts that it saw",
+        *("hybrid-seen", "VRNN hybrid", "100 steps seen", _HYBRID),
+        "its memory holds the impacts that it saw",
     ),
     MotionRow(
-        "hybrid-rollout",
-        "VRNN hybrid",
-        "rollout",
-        _HYBRID,
-        note="no warm-up: it has seen no impact, so it cannot know the ball",
+        *("hybrid-rollout", "VRNN hybrid", "rollout", _HYBRID),
+        "no warm-up: it has seen no impact, so it cannot know the ball",
     ),
-    MotionRow("still-ahead", "nothing moves", "one step ahead", note="what one step is worth"),
+    MotionRow("still-ahead", "nothing moves", "one step ahead", None, "what one step is worth"),
+    MotionRow("middle-ahead", _MIDDLE, "one step ahead", None, _ALONE),
+    MotionRow("middle-seen", _MIDDLE, "100 steps seen", None, _ALONE),
+    MotionRow("middle-rollout", _MIDDLE, "rollout", None, _ALONE),
     MotionRow(
-        "middle-ahead",
-        "physics at 0.5",
-        "one step ahead",
-        note="the simulator within the hybrid, alone",
+        *("tunenet-obs", "TuneNet (Obs)", "rollout", MotionError(6.03, 5.7)),
+        "sees the ball's row in the picture, of an unknown camera; the paper's text, K = 5",
     ),
+    MotionRow("ours-obs", "ours (Obs)", "rollout", None, "sees the same rows; K = 5"),
     MotionRow(
-        "middle-seen",
-        "physics at 0.5",
-        "100 steps seen",
-        note="the simulator within the hybrid, alone",
+        *("tunenet-gt", "TuneNet (GT)", "rollout", MotionError(1.08, 0.7)),
+        "the paper's network and training, K = 5",
     ),
-    MotionRow(
-        "middle-rollout",
-        "physics at 0.5",
-        "rollout",
-        note="the simulator within the hybrid, alone",
-    ),
-    MotionRow(
-        "tunenet-obs",
-        "TuneNet (Obs)",
-        "rollout",
-        MotionError(6.03, 5.7),
-        note="sees the ball's row in the picture, of an unknown camera; the paper's text, K = 5",
-    ),
-    MotionRow("ours-obs", "ours (Obs)", "rollout", note="sees the same rows; K = 5"),
-    MotionRow(
-        "tunenet-gt",
-        "TuneNet (GT)",
-        "rollout",
-        MotionError(1.08, 0.7),
-        note="the paper's network and training, K = 5",
-    ),
-    MotionRow("ours", "ours", "rollout", note="K = 5"),
+    MotionRow("ours", "ours", "rollout", None, "K = 5"),
 )
 
 
@@ -921,74 +842,31 @@ def motion_error(predicted_m: Array, true_m: Array) -> MotionError:
 def with_figures(seeds: Sequence[Mapping[str, MotionError]]) -> tuple[MotionRow, ...]:
     """Fill `ROWS` with what was measured for each seed, by the rows' names."""
     return tuple(
-        MotionRow(
-            row.name,
-            row.label,
-            row.protocol,
-            row.paper,
-            tuple(one[row.name] for one in seeds if row.name in one) or None,
-            row.note,
-        )
+        replace(row, ours=tuple(one[row.name] for one in seeds if row.name in one) or None)
         for row in ROWS
     )
 
 
-# ---- JSON and CSV: one record a row and seed.
+# ---- Rows of files: one for each row of the table and seed.
 
 
-# Of the CSV.
-COLUMNS = (
-    "experiment",
-    "method",
-    "protocol",
-    "seed",
-    "percent",
-    "cm",
-    "paper_percent",
-    "paper_cm",
-)
-
-
-def motion_rows(rows: Sequence[MotionRow], seeds: Sequence[int]) -> list[dict[str, Any]]:
-    """Return one record for each row and seed; see `COLUMNS`."""
-    records = []
+def motion_records(rows: Sequence[MotionRow], seeds: Sequence[int]) -> list[Row]:
+    """Return one record for each row and seed, the paper's figures beside ours."""
+    records: list[Row] = []
     for row in rows:
+        keys = {"method": row.name, "label": row.label, "protocol": row.protocol}
         paper = {
             "paper_percent": row.paper.percent if row.paper else None,
             "paper_cm": row.paper.cm if row.paper else None,
         }
-        keys = {"experiment": "motion", "method": row.name, "protocol": row.protocol}
         measured = dict(zip(seeds, row.ours, strict=True)) if row.ours else {None: None}
         for seed, one in measured.items():
             ours = {"percent": one.percent if one else None, "cm": one.cm if one else None}
-            records.append({**keys, "seed": seed, **ours, **paper})
+            records.append({**keys, "seed": seed, **ours, **paper, "note": row.note})
     return records
 
 
-def motion_json(rows: Sequence[MotionRow], seeds: Sequence[int], targets: int) -> str:
-    """Serialise the rows of `motion_rows`, and what stands beside each."""
-    words = [
-        {"method": row.name, "label": row.label, "protocol": row.protocol, "note": row.note}
-        for row in rows
-    ]
-    return json_text(
-        {
-            "experiment": "motion",
-            "seeds": list(seeds),
-            "targets": targets,
-            "methods": words,
-            "rows": motion_rows(rows, seeds),
-        }
-    )
-
-
-def motion_csv(rows: Sequence[MotionRow], seeds: Sequence[int]) -> str:
-    """Format `motion_rows` as a table; an empty field where there is no figure."""
-    return csv_text(COLUMNS, motion_rows(rows, seeds))
-
-
 # ---- Run: train the tuners and the one-step predictors of each seed, and measure them.
-
 
 ITERATIONS = 5  # K, rollouts that a tuner may spend: the paper's
 
@@ -1015,26 +893,26 @@ class OneStepTraining:
     vrnn: VrnnRecipe = field(default_factory=VrnnRecipe)
 
 
-def run_motion(
-    seeds: Sequence[int],
-    targets: int,
-    jobs: int | None,
-    progress: Progress,
-    effort: Effort | None = None,
-) -> tuple[MotionRow, ...]:
+def run(order: Order, progress: Progress) -> Iterator[Part]:
     """Train the tuners and the one-step predictors of each seed, and measure them."""
-    effort = effort or Effort()
-    tuners = partial(_tuners, jobs=jobs, progress=progress, effort=effort)
-    return motion_table(seeds, targets, tuners, progress, _one_step_training(effort))
-
-
-def _tuners(seed: int, *, jobs: int | None, progress: Progress, effort: Effort) -> Tuners:
-    wanted = (PAPER_CODE, OURS)
-    networks = train_networks(wanted, seed, jobs, progress, effort)
-    papers_filmed, ours_filmed = (
-        make(seed, jobs, progress, effort.pairs, effort.epochs)
-        for make in (train_papers_on_films, train_ours_on_films)
+    needed("torch")
+    training = OneStepTraining(
+        order.pairs or OneStepTraining.drops,
+        NeuralRecipe(epochs=order.epochs or NeuralRecipe.epochs),
+        VrnnRecipe(epochs=order.epochs or VrnnRecipe.epochs),
     )
+    tuners = partial(_tuners, order=order, progress=progress)
+    rows = motion_table(order.seeds, order.targets, tuners, progress, training)
+    yield Part("", motion_lines(rows, order), motion_records(rows, order.seeds))
+
+
+def _tuners(seed: int, *, order: Order, progress: Progress) -> Tuners:
+    networks = train_networks((PAPER_CODE, OURS), seed, order, progress)
+    paper = FILM_TRAININGS["paper"]  # by its text
+    recipe = replace(paper.recipe, epochs=order.epochs or paper.recipe.epochs)
+    pairs = paper.make_pairs(order.pairs, seed, order.jobs, progress)
+    papers_filmed = train(paper.network, pairs, recipe, seed, progress)
+    ours_filmed = train_ours_on_films(seed, order.jobs, progress, order.pairs, order.epochs)
     return Tuners(
         networks[PAPER_CODE],
         TuneNetThenLine(networks[OURS]),
@@ -1043,44 +921,20 @@ def _tuners(seed: int, *, jobs: int | None, progress: Progress, effort: Effort) 
     )
 
 
-def _one_step_training(effort: Effort) -> OneStepTraining:
-    training = OneStepTraining()
-    if effort.pairs is not None:
-        training = replace(training, drops=effort.pairs)
-    if effort.epochs is not None:
-        neural = replace(training.neural, epochs=effort.epochs)
-        training = replace(
-            training, neural=neural, vrnn=replace(training.vrnn, epochs=effort.epochs)
-        )
-    return training
-
-
 def motion_table(
     seeds: Sequence[int],
     count: int,
     tuners: Callable[[int], Tuners],
     progress: Progress,
-    training: OneStepTraining | None = None,
+    training: OneStepTraining,
 ) -> tuple[MotionRow, ...]:
     """Compute table 3, every row with a figure for each seed; 100 targets in the paper."""
-    return with_figures(
-        [motion_errors(seed, count, tuners(seed), progress, training) for seed in seeds]
-    )
-
-
-def motion_errors(
-    seed: int,
-    count: int,
-    tuners: Tuners,
-    progress: Progress,
-    training: OneStepTraining | None = None,
-) -> dict[str, MotionError]:
-    """Return the figures of one seed by the names of their rows; see `motion_table`."""
-    targets = draw_targets(EASY, count, seed)
-    return {
-        **tuning_errors(targets, tuners, progress),
-        **one_step_errors(targets, seed, training or OneStepTraining(), progress),
-    }
+    seeds_errors: list[dict[str, MotionError]] = []
+    for seed in seeds:
+        targets, trained = draw_targets(EASY, count, seed), tuners(seed)
+        errors = tuning_errors(targets, trained, progress)
+        seeds_errors.append(errors | one_step_errors(targets, seed, training, progress))
+    return with_figures(seeds_errors)
 
 
 def tuning_errors(
@@ -1143,31 +997,30 @@ def _heights_m(problem: Problem, values: Array) -> Array:
 
 # ---- Table for a terminal, the paper's figures beside ours.
 
-
-_WIDTHS = (17, 5, 15, 32, 0)  # of the columns [characters]
 _WIDEST = 98  # characters, of a line of the notes
 
 
-def motion_lines(rows: Sequence[MotionRow], seeds: Sequence[int], targets: int) -> str:
+def motion_lines(rows: Sequence[MotionRow], order: Order) -> str:
     """Tabulate percent and centimetres, mean over the seeds and [lowest–highest] of them."""
     notes = list(dict.fromkeys(row.note for row in rows if row.note))
-    lines = [
-        f"Error of the predicted height of the ball, Easy; {seeds_in_words(seeds)}, "
-        f"{targets} targets each.",
-        "In brackets: the paper's. [lowest–highest]: of the seeds. A dash: not measured.",
-        "",
-        table_line(("method", "note", "given", "error, %", "error, cm"), _WIDTHS),
-    ]
+    lines = [["method", "note", "given", "error, %", "error, cm"]]
     for row in rows:
         ours, paper = row.ours or (), row.paper
         mark = str(notes.index(row.note) + 1) if row.note else ""
         percent = _figure([error.percent for error in ours], paper and paper.percent)
         cm = _figure([error.cm for error in ours], paper and paper.cm)
-        lines.append(table_line((row.label, mark, row.protocol, percent, cm), _WIDTHS))
-    lines.append("")
-    for index, note in enumerate(notes, start=1):
-        lines += wrap(f"{index}: {note}", _WIDEST, subsequent_indent="   ")
-    return "\n".join(lines)
+        lines.append([row.label, mark, row.protocol, percent, cm])
+    title = (
+        f"Error of the predicted height of the ball, Easy; {order.seeds_in_words}, "
+        f"{order.targets} targets each.\n"
+        "In brackets: the paper's. [lowest–highest]: of the seeds. A dash: not measured.\n"
+    )
+    below = [
+        line
+        for index, note in enumerate(notes, start=1)
+        for line in wrap(f"{index}: {note}", _WIDEST, subsequent_indent="   ")
+    ]
+    return "\n".join([table(lines, title), "", *below])
 
 
 def _figure(ours: Sequence[float], paper: float | None) -> str:

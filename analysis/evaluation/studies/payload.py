@@ -7,17 +7,28 @@ it, and to the Cramér-Rao bound.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tunenet_logs.analysis.estimators.base import Observation, Problem
 from tunenet_logs.analysis.estimators.methods import TuneNet
-from tunenet_logs.analysis.evaluation.study import csv_text, json_text, seeds_in_words, table_line
+from tunenet_logs.analysis.evaluation.study import (
+    Columns,
+    Order,
+    Part,
+    Row,
+    decimals,
+    figure,
+    holds,
+    listed,
+    scored,
+    shown,
+    table,
+)
 from tunenet_logs.analysis.evaluation.worlds.arm import (
     CLEAN,
     FULL,
@@ -25,10 +36,14 @@ from tunenet_logs.analysis.evaluation.worlds.arm import (
     StrangerRun,
     Troubles,
     described_arm,
+    holding,
+    rigid_nm,
     stranger_log,
+    stranger_runs,
 )
 from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.analysis.parallel import Piece, parallel_map
+from tunenet_logs.analysis.parallel import Piece
+from tunenet_logs.analysis.payload.arm_log import read_arm_log
 from tunenet_logs.analysis.payload.detection import (
     PAPER_GRAVITY_M_S2,
     PAPER_MASS_KG,
@@ -38,7 +53,15 @@ from tunenet_logs.analysis.payload.detection import (
     paper_torques,
     payload_readings,
 )
-from tunenet_logs.analysis.payload.torque_model import CONVENTIONS, Convention
+from tunenet_logs.analysis.payload.noise import NormalEquations
+from tunenet_logs.analysis.payload.torque_fit import fit_payload
+from tunenet_logs.analysis.payload.torque_model import (
+    CONVENTIONS,
+    ArmMotion,
+    Convention,
+    arm_motion,
+)
+from tunenet_logs.analysis.registry import needed
 from tunenet_logs.analysis.tunenet.network import Model, train
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode, median_step
@@ -65,18 +88,21 @@ from tunenet_logs.terminal import Progress
 # The bound is what no unbiased estimate beats where nothing but the sensors' noise, the payload's
 # centre and, without a tare, their zeros are unknown.
 
-
 _SMOOTH_S = 0.35  # of the parabolas whose derivatives are a joint's speed and acceleration
 _SLOW_RAD_S = 0.01  # dry friction turns over with a joint's speed, over this
 
 
 def least_squares(model: Any, frame: int, held: Episode) -> float:
     """Estimate the mass [kg] by least squares, beside offset, viscous and dry friction a joint."""
+    from scipy.linalg import block_diag
+
     seconds, where, effort = _read(held)
     speed, pull, empty = _moved(model, seconds, where)
-    per_kg = _rigid(_holding(model, frame, 1.0, np.zeros(3)), where, speed, pull) - empty
+    per_kg = rigid_nm(_holding_1_kg(model, frame, np.zeros(3)), where, speed, pull) - empty
     own = (np.ones_like(speed), speed, np.tanh(speed / _SLOW_RAD_S))
-    slopes = np.hstack([per_kg.T.reshape(-1, 1), *map(_diagonal, own)])
+    # one a joint, each joint in turn
+    columns = [np.asarray(block_diag(*one.T[:, :, None]), np.float64) for one in own]
+    slopes = np.hstack([per_kg.T.reshape(-1, 1), *columns])
     return float(_solve(slopes, (effort - empty).T.ravel())[0])
 
 
@@ -89,10 +115,10 @@ def tare_subtracted(model: Any, frame: int, held: Episode, empty: Episode) -> fl
     _, _, tare_own = _moved(model, tare_seconds, tare_where)
     left = tare_effort - tare_own
     there = np.column_stack([np.interp(seconds, tare_seconds, column) for column in left.T])
-    base = _rigid(_holding(model, frame, 1.0, np.zeros(3)), where, speed, pull) - own
+    base = rigid_nm(_holding_1_kg(model, frame, np.zeros(3)), where, speed, pull) - own
     columns = [base]
     for axis in np.eye(3):
-        moved = _rigid(_holding(model, frame, 1.0, 0.01 * axis), where, speed, pull) - own
+        moved = rigid_nm(_holding_1_kg(model, frame, 0.01 * axis), where, speed, pull) - own
         columns.append((moved - base) / 0.01)
     slopes = np.stack([column[inside].T.ravel() for column in columns], axis=1)
     return float(_solve(slopes, (effort - own - there)[inside].T.ravel())[0])
@@ -129,33 +155,11 @@ def _moved(model: Any, seconds: Array, where: Array) -> tuple[Array, Array, Arra
     window = max(2 * int(_SMOOTH_S / step / 2) + 1, 7)
     speed = np.asarray(savgol_filter(where, window, 3, 1, step, axis=0), np.float64)
     pull = np.asarray(savgol_filter(where, window, 3, 2, step, axis=0), np.float64)
-    return speed, pull, _rigid(model, where, speed, pull)
+    return speed, pull, rigid_nm(model, where, speed, pull)
 
 
-def _rigid(model: Any, where: Array, speed: Array, pull: Array) -> Array:
-    """Return inverse dynamics torques [N·m] along a motion, all of shape (T, J)."""
-    library, data = import_module("pinocchio"), model.createData()
-    rows = zip(where, speed, pull, strict=True)
-    return np.array([library.rnea(model, data, *row).copy() for row in rows])
-
-
-def _holding(model: Any, frame: int, mass_kg: float, centre_m: Array) -> Any:
-    """Attach a point mass to the model's hand, at a place of the tool frame, shape (3,)."""
-    library, model = import_module("pinocchio"), model.copy()
-    mount = model.frames[frame]
-    body = library.Inertia(mass_kg, centre_m, np.zeros((3, 3)))
-    at = mount.parentJoint
-    model.inertias[at] = model.inertias[at] + mount.placement.act(body)
-    return model
-
-
-def _diagonal(column: Array) -> Array:
-    """Return a column a joint, over the samples of all joints in turn: (J T, J)."""
-    samples, count = column.shape
-    block = np.zeros((count * samples, count))
-    for joint in range(count):
-        block[joint * samples : (joint + 1) * samples, joint] = column[:, joint]
-    return block
+def _holding_1_kg(model: Any, frame: int, centre_m: Array) -> Any:
+    return holding(model, frame, 1.0, centre_m, np.zeros((3, 3)))
 
 
 def _solve(slopes: Array, target: Array) -> Array:
@@ -165,7 +169,6 @@ def _solve(slopes: Array, target: Array) -> Array:
 # ---- Logs like a real driver's: errors, and the coverage of intervals.
 # Torques come from the engine's inverse dynamics, the fit's from Pinocchio; nothing of the
 # disturbances is given.
-
 
 # Logs are drawn from these and a seed; whatever was chosen was chosen on seeds below 100 000.
 _DRIVER_SEEDS = 5_000_000
@@ -177,7 +180,6 @@ MAX_OFFSET_M = 0.03  # of its centre from the gripper's, along each axis
 _PATH_HZ, _SECONDS, _NOISE_RATE_HZ = 500.0, 5.2, 60.0
 
 _OF_SD = float(np.sqrt(2 / np.pi))  # mean absolute value of a Gaussian over its standard deviation
-_PORTION = 10  # logs in a piece of work: few, so that the processes end together
 
 
 @dataclass(frozen=True)
@@ -210,82 +212,13 @@ CASES = (
 )
 
 
-@dataclass(frozen=True)
-class LogRow:
-    """Results of one case; of masses in kg, None where nothing was answered."""
-
-    case: LogCase
-    logs: int  # how many
-    answered: float  # fraction that got a value
-    ok: float  # fraction with that verdict
-    mae: float | None  # mean absolute error of the answered
-    # the same of the best unbiased estimate, under the model that each answer states (Cramér and
-    # Rao; mean of sd sqrt(2 / pi))
-    bound: float | None
-    secant: float | None  # mean absolute error of the line through two rollouts
-    # fraction of the intervals of the answered that contain the truth, shown or not
-    held: float | None
-    width: float | None  # their median width
-    told: float | None  # fraction of the answered whose centre of mass is reported
-    # mean absolute errors of it along x, y, z of the tool
-    centre_mm: tuple[float, float, float] | None
-    told_mae: float | None  # mean absolute error of the mass where it is
+def driver_logs(case: tuple[LogCase, tuple[int, ...]]) -> list[Row]:
+    """Tune logs of a case, by their numbers."""
+    which, numbers = case
+    return [_tuned_log(which, number) for number in numbers]
 
 
-def log_rows(
-    seeds: Sequence[int], count: int, jobs: int | None, progress: Progress
-) -> list[LogRow]:
-    """Tune every case on `count` logs in all, in equal shares of the seeds."""
-    share = -(-count // len(seeds))
-    numbers = [seed * ARMS + one for seed in seeds for one in range(share)][:count]
-    pieces = [
-        Piece((case, tuple(numbers[at : at + _PORTION])), len(numbers[at : at + _PORTION]), "")
-        for case in CASES
-        for at in range(0, len(numbers), _PORTION)
-    ]
-    done = parallel_map(_tuned_logs, pieces, jobs, progress, ("payloads", "log"))
-    rows = []
-    for case in CASES:
-        parts = [one for piece, one in zip(pieces, done, strict=True) if piece.item[0] == case]
-        rows.append(row_of(case, np.concatenate(parts)))
-    return rows
-
-
-def row_of(case: LogCase, found: Array) -> LogRow:
-    """Compute a line from what `_tuned_logs` gives, shape (N, 13)."""
-    answered = found[np.isfinite(found[:, 1])]
-    truth, value, low, high, bound, secant = answered[:, :6].T
-    centred = answered[np.isfinite(answered[:, 7])]
-    off_mm = 1000 * np.abs(centred[:, 7:10] - centred[:, 10:13])
-    error = np.abs(value - truth)
-    x, y, z = (_mean(one) or 0.0 for one in off_mm.T)
-    return LogRow(
-        case=case,
-        logs=len(found),
-        answered=len(answered) / len(found),
-        ok=float(np.mean(found[:, 6])),
-        mae=_mean(error),
-        bound=_mean(_OF_SD * bound),
-        secant=_mean(np.abs(secant - truth)),
-        held=_mean((low <= truth) & (truth <= high)),
-        width=float(np.median(high - low)) if len(answered) else None,
-        told=len(centred) / len(answered) if len(answered) else None,
-        centre_mm=(x, y, z) if len(centred) else None,
-        told_mae=_mean(np.abs(centred[:, 1] - centred[:, 0])),
-    )
-
-
-def _mean(values: NDArray) -> float | None:
-    return float(np.mean(values)) if len(values) else None
-
-
-def _tuned_logs(work: tuple[LogCase, tuple[int, ...]]) -> Array:
-    """Return a row a log: truth, value, interval, bound, secant, ok, centre found, centre true."""
-    case, numbers = work
-    return np.array([_tuned_log(case, number) for number in numbers])
-
-
-def _tuned_log(case: LogCase, number: int) -> list[float]:
+def _tuned_log(case: LogCase, number: int) -> Row:
     arm, seed = jaco(), _DRIVER_SEEDS + number
     rng = np.random.default_rng([seed, 0xBE])
     mass_kg = float(rng.uniform(0, MAX_KG))
@@ -307,22 +240,52 @@ def _tuned_log(case: LogCase, number: int) -> list[float]:
     tares = [driver_episode(arm, moved, None, disturbances.another_run())] * case.has_tare
     episode = driver_episode(arm, moved, Payload(mass_kg, (x, y, z)), disturbances)
     tuning = tune_episode(episode, TuneOptions(task="payload", tares=tuple(tares)))
-    nothing = float("nan")
     fit = tuning.trace.fit if tuning.trace else None
+    row: Row = {"truth": mass_kg, "value": None, "ok": tuning.verdict == "ok"}
     if tuning.estimate is None or fit is None:
-        return [mass_kg, *[nothing] * 5, 0.0, *[nothing] * 3, x, y, z]
-    low, high = fit.interval95[0]
-    centre = fit.extra[0].values if fit.extra else [nothing] * 3
-    secant = nothing if tuning.cross_check is None else tuning.cross_check.value
-    ok = float(tuning.verdict == "ok")
-    bound = fit.detail.bound_kg
-    value = float(tuning.estimate[0])
-    return [mass_kg, value, low, high, bound, secant, ok, *centre, x, y, z]
+        return {**row, "ok": False}
+    low, high = fit.interval95[0].tolist()
+    off_m = np.abs(fit.extra[0].values - (x, y, z)) if fit.extra else None
+    return {
+        **row,
+        "value": float(tuning.estimate[0]),
+        "low": low,
+        "high": high,
+        "bound": fit.detail.bound_kg,
+        "secant": np.nan if tuning.cross_check is None else tuning.cross_check.value,
+        "centre_mm": None if off_m is None else 1000 * off_m,  # errors along x, y, z of the tool
+    }
+
+
+def log_row(case: LogCase, logs: Sequence[Row]) -> Row:
+    """Compute the figures of a case [kg]; None where nothing was answered."""
+    answered = [one for one in logs if one["value"] is not None]
+    centred = [one for one in answered if one["centre_mm"] is not None]
+
+    def of(name: str, rows: Sequence[Row] = answered) -> Array:
+        return np.array([one[name] for one in rows], np.float64)
+
+    truth, low, high = of("truth"), of("low"), of("high")
+    return {
+        "case": case.label,
+        "logs": len(logs),
+        "answered": len(answered) / len(logs),
+        "ok": figure([one["ok"] for one in logs]),
+        "mae": figure(np.abs(of("value") - truth)),
+        # the same of the best unbiased estimate, under the model that each answer states (Cramér
+        # and Rao; mean of sd sqrt(2 / pi))
+        "bound": figure(_OF_SD * of("bound")),
+        "secant": figure(np.abs(of("secant") - truth)),
+        "held": figure(holds(low, high, truth)),  # of the intervals, shown or not
+        "width": figure(high - low, np.median),
+        "told": len(centred) / len(answered) if answered else None,  # whose centre is reported
+        "centre_mm": np.mean([one["centre_mm"] for one in centred], axis=0) if centred else None,
+        "told_mae": figure(np.abs(of("value", centred) - of("truth", centred))),
+    }
 
 
 # ---- Table 1 (Allevato et al. 2019): the mass in an arm's gripper.
 # Networks learn from masses of 0 to 1 kg; validation targets are as heavy, test targets 1 kg more.
-
 
 Observe = Callable[[Episode], Observation]
 
@@ -360,81 +323,51 @@ METHODS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class MassRow:
-    """Errors of a method on one set."""
-
-    method: MassMethod
-    which: str
-    errors: Array  # absolute errors [kg], shape (seeds, targets)
-    percents: Array  # of the target's mass [%], of the same shape
-
-
-@dataclass(frozen=True)
-class MassOrder:
-    """Settings of the experiment."""
-
-    seeds: tuple[int, ...]  # each with its own training and targets
-    targets: int  # of each set and seed
-    jobs: int | None  # processes; None for all cores
-    pairs: int | None = None  # of training, in place of the presets'
-    epochs: int | None = None  # likewise
-
-
-def mass_rows(order: MassOrder, progress: Progress) -> list[MassRow]:
-    """Run every method on the same targets, every seed in a process of its own."""
-    pieces = [Piece((seed, order), 1, f"seed {seed}") for seed in order.seeds]
-    done = parallel_map(_one_seed, pieces, order.jobs, progress, ("masses", "seed"))
-    rows = []
-    for method in METHODS:
-        for which in SETS:
-            found = np.stack([results[method.name, which] for results in done])
-            errors = np.abs(found[:, 0] - found[:, 1])
-            rows.append(MassRow(method, which, errors, 100 * errors / found[:, 1]))
-    return rows
-
-
-def _one_seed(work: tuple[int, MassOrder]) -> dict[tuple[str, str], Array]:
-    """Return values and truths by method and set, each of shape (2, targets)."""
-    seed, order = work
+def masses_of_seed(case: tuple[int, Order]) -> list[Row]:
+    """Run every method on the same targets of a seed: a row for each method and set."""
+    seed, order = case
     simulator = PayloadSimulator(
         jaco(),
         circle(PAPER_RATE_HZ, PAPER_SAMPLES / PAPER_RATE_HZ),
         gravity_m_s2=PAPER_GRAVITY_M_S2,
     )
-    networks = {name: _trained(name, seed, order) for name in TRAININGS}
+    empty, per_kg = simulator.empty_efforts_nm, simulator.efforts_nm_per_kg
+    mass = simulator.parameters[0].name
+    networks: dict[str, Model] = {}
+    for name, preset in TRAININGS.items():
+        quiet = Progress(quiet=True)
+        pairs = preset.make_pairs(order.pairs, seed, 1, quiet)
+        recipe = replace(preset.recipe, epochs=order.epochs or preset.recipe.epochs)
+        networks[name] = train(preset.network, pairs, recipe, seed, quiet)
     rng = np.random.default_rng([_MASS_SEEDS, seed])
-    found: dict[tuple[str, str], Array] = {}
+    rows: list[Row] = []
     for which, heavier in SETS.items():
         initial = rng.uniform(*PAPER_MASS_KG, order.targets)
         truths = rng.uniform(*PAPER_MASS_KG, order.targets) + heavier
-        values = _simple(simulator, truths, TRAINED_MEAN_KG + heavier)
+        efforts = [simulator.rollout({mass: float(truth)}).signals[EFFORT] for truth in truths]
+        beyond = np.array([effort.values - empty for effort in efforts])
+        values: dict[str, Array] = {
+            "one": np.ones(len(truths)),
+            "mean": np.full(len(truths), TRAINED_MEAN_KG + heavier),
+            "secant": np.tensordot(beyond, per_kg, 2) / (per_kg**2).sum(),
+        }
         for name, model in networks.items():
             steps = _iterated(simulator, model, OBSERVE[name](simulator), initial, truths)
             values |= {name: steps[:, -1], f"{name}-1": steps[:, 1]}
         for method in METHODS:
-            found[method.name, which] = np.array([values[method.name], truths])
-    return found
-
-
-def _simple(simulator: PayloadSimulator, truths: Array, mean_kg: float) -> dict[str, Array]:
-    empty, per_kg = simulator.empty_efforts_nm, simulator.efforts_nm_per_kg
-    beyond = np.array([simulator.efforts_nm(float(truth)) - empty for truth in truths])
-    secant = np.tensordot(beyond, per_kg, 2) / (per_kg**2).sum()
-    return {
-        "one": np.ones(len(truths)),
-        "mean": np.full(len(truths), mean_kg),
-        "secant": secant,
-    }
-
-
-def _trained(name: str, seed: int, order: MassOrder) -> Model:
-    preset, quiet = TRAININGS[name], Progress(quiet=True)
-    pairs = preset.make_pairs(order.pairs, seed, 1, quiet)
-    recipe = preset.recipe
-    if order.epochs is not None:
-        recipe = replace(recipe, epochs=order.epochs)
-    return train(preset.network, pairs, recipe, seed, quiet)
+            errors = np.abs(values[method.name] - truths)
+            rows.append(
+                {
+                    "method": method.name,
+                    "iterations": method.iterations,
+                    "set": which,
+                    "seed": seed,
+                    "mae_kg": float(errors.mean()),
+                    "percent": float((100 * errors / truths).mean()),  # of the target's mass
+                    "paper_mae_kg": method.paper[list(SETS).index(which)],
+                }
+            )
+    return rows
 
 
 def _iterated(
@@ -451,33 +384,25 @@ def _iterated(
     return np.array(rows)
 
 
-def _observe_torques(_simulator: PayloadSimulator) -> Observe:
-    def observe(episode: Episode) -> Observation:
-        effort = episode.signals[EFFORT]
-        return paper_torques(effort.seconds, effort.values)
-
-    return observe
+def _torques(episode: Episode) -> Observation:
+    effort = episode.signals[EFFORT]
+    return paper_torques(effort.seconds, effort.values)
 
 
-def _observe_readings(simulator: PayloadSimulator) -> Observe:
+def _readings_by(simulator: PayloadSimulator) -> Observe:
     empty, per_kg = simulator.empty_efforts_nm, simulator.efforts_nm_per_kg
-
-    def observe(episode: Episode) -> Observation:
-        return payload_readings(episode.signals[EFFORT].values, empty, per_kg)
-
-    return observe
+    return lambda episode: payload_readings(episode.signals[EFFORT].values, empty, per_kg)
 
 
 # What the network of each preset looks at.
 OBSERVE: Mapping[str, Callable[[PayloadSimulator], Observe]] = {
-    "default": _observe_readings,
-    "paper": _observe_torques,
-    "paper-code": _observe_torques,
+    "default": _readings_by,
+    "paper": lambda _: _torques,
+    "paper-code": lambda _: _torques,
 }
 
 
 # ---- Strangers' arms: the product beside the baselines, and arms with one trouble alone.
-
 
 # Logs are drawn from these and on; whatever was chosen was chosen on seeds up to 1000.
 STRANGER_SEEDS = 9_000_000
@@ -491,7 +416,6 @@ PLAIN = Convention(1, True)
 # An answer that is `ok` and further off than this many halves of its interval misleads.
 _FAR_HALF_WIDTHS = 3.0
 _G = 1000.0  # grams in a kilogram
-_BATCH = 5  # strangers' logs in a piece of work: few, so that the processes end together
 
 
 @dataclass(frozen=True)
@@ -539,73 +463,6 @@ class StrangerAnswer:
     convention: Convention  # what it takes the driver's torques for
 
 
-@dataclass(frozen=True)
-class StrangerResult:
-    """All answers on one log, and the truth."""
-
-    truth_kg: float  # the mass
-    least_squares_kg: float  # its value, without the tare
-    tare_subtracted_kg: float  # its value, with the tare
-    bounds_kg: tuple[float, float]  # standard deviations of the mass, without and with the tare
-    # without and with the tare; None where the log is rejected
-    answers: tuple[StrangerAnswer | None, StrangerAnswer | None]
-
-
-@dataclass(frozen=True)
-class Rival:
-    """Baseline on the logs that were answered."""
-
-    mae_g: float  # mean absolute error
-    # where ours is: "ahead" or "behind" of it by more than a standard error of the paired
-    # difference, else "level"
-    standing: str
-
-
-@dataclass(frozen=True)
-class StrangerRow:
-    """Cell without the tares, or with them; None where nothing was answered."""
-
-    case: StrangerCase  # which cell
-    has_tare: bool  # whether each log was tuned with its tare
-    logs: int  # how many
-    answered: float  # fraction that was not rejected; what follows is of these, but for `ok`
-    ok: float  # fraction of all with that verdict
-    mae_g: float | None  # mean absolute error
-    mae_sd_g: float | None  # standard error of it
-    median_g: float | None  # of the absolute errors
-    worst_g: float | None  # of them
-    bound_g: float | None  # mean absolute error at the Cramér-Rao bound of noise alone
-    least_squares: Rival | None  # the baseline that needs no tare
-    tare_subtracted: Rival | None  # the baseline that needs one
-    held: float | None  # fraction of the intervals that contain the truth
-    width_g: float | None  # their median width
-    far_ok: float  # fraction of all logs that are ok and further off than three half widths
-    wrong_ok: int  # logs that are ok and whose convention is not what the driver means
-
-
-def stranger_rows(
-    seeds: Sequence[int], count: int, jobs: int | None, progress: Progress
-) -> list[StrangerRow]:
-    """Run every cell on `count` logs in all, in equal shares of the seeds: two rows each."""
-    numbers = stranger_numbers(seeds, count)
-    pieces = [
-        Piece((case, numbers[at : at + _BATCH]), len(numbers[at : at + _BATCH]), case.label)
-        for case in STRANGER_CASES
-        for at in range(0, len(numbers), _BATCH)
-    ]
-    done = parallel_map(_stranger_results, pieces, jobs, progress, ("strangers", "log"))
-    rows = []
-    for case in STRANGER_CASES:
-        results = [
-            result
-            for piece, part in zip(pieces, done, strict=True)
-            if piece.item[0] == case
-            for result in part
-        ]
-        rows += [stranger_row(case, results, has_tare=has_tare) for has_tare in (False, True)]
-    return rows
-
-
 def stranger_numbers(seeds: Sequence[int], count: int) -> tuple[int, ...]:
     """Return the draw numbers of `count` logs, in equal shares of the command's seeds."""
     share = -(-count // len(seeds))
@@ -615,19 +472,27 @@ def stranger_numbers(seeds: Sequence[int], count: int) -> tuple[int, ...]:
     return tuple(numbers[:count])
 
 
-def stranger_result(case: StrangerCase, number: int) -> StrangerResult:
-    """Draw a log and run every method on it."""
-    log = stranger_log(JACO_URDF, JACO_TOOL_LINK, number, case.sized)
-    held, empty = log.held.episode, log.empty.episode
-    model = described_arm(JACO_URDF)
-    frame = model.getFrameId(JACO_TOOL_LINK)
-    return StrangerResult(
-        truth_kg=log.mass_kg,
-        least_squares_kg=least_squares(model, frame, held),
-        tare_subtracted_kg=tare_subtracted(model, frame, held, empty),
-        bounds_kg=(bound_kg(log.held, None), bound_kg(log.held, log.empty)),
-        answers=(stranger_answer(held, ()), stranger_answer(held, (empty,))),
-    )
+def stranger_logs(case: tuple[StrangerCase, tuple[int, ...]]) -> list[Row]:
+    """Draw logs and run every method on each; what differs is without the tare, and with it."""
+    which, numbers = case
+    rows: list[Row] = []
+    for number in numbers:
+        log = stranger_log(JACO_URDF, JACO_TOOL_LINK, number, which.sized)
+        held, empty = log.held.episode, log.empty.episode
+        model = described_arm(JACO_URDF)
+        frame = model.getFrameId(JACO_TOOL_LINK)
+        rows.append(
+            {
+                "truth": log.mass_kg,
+                "least_squares": least_squares(model, frame, held),
+                "tare_subtracted": tare_subtracted(model, frame, held, empty),
+                # standard deviations of the mass
+                "bounds": (bound_kg(log.held, None), bound_kg(log.held, log.empty)),
+                # None where the log is rejected
+                "answers": (stranger_answer(held, ()), stranger_answer(held, (empty,))),
+            }
+        )
+    return rows
 
 
 def stranger_answer(episode: Episode, tares: tuple[Episode, ...]) -> StrangerAnswer | None:
@@ -641,50 +506,44 @@ def stranger_answer(episode: Episode, tares: tuple[Episode, ...]) -> StrangerAns
     return StrangerAnswer(float(tuning.estimate[0]), low_kg, high_kg, is_ok, fit.detail.convention)
 
 
-def _stranger_results(work: tuple[StrangerCase, tuple[int, ...]]) -> list[StrangerResult]:
-    case, numbers = work
-    return [stranger_result(case, number) for number in numbers]
-
-
-def stranger_row(
-    case: StrangerCase, results: Sequence[StrangerResult], *, has_tare: bool
-) -> StrangerRow:
-    """Compute the figures of one cell's logs, one or more."""
-    logs = [(one, answer) for one in results if (answer := one.answers[has_tare]) is not None]
-
-    def figures(of: Callable[[StrangerResult, StrangerAnswer], float]) -> Array:
-        return np.array([of(one, answer) for one, answer in logs], np.float64)
-
-    truth = figures(lambda one, _: one.truth_kg)
-    off_g = _G * np.abs(figures(lambda _, answer: answer.mass_kg) - truth)
-    low, high = figures(lambda _, answer: answer.low_kg), figures(lambda _, answer: answer.high_kg)
-    ok = figures(lambda _, answer: answer.is_ok) > 0
-    right = figures(lambda _, answer: answer.convention == PLAIN) > 0
-    far = off_g > _FAR_HALF_WIDTHS * _G * (high - low) / 2
-    squares_g = _G * np.abs(figures(lambda one, _: one.least_squares_kg) - truth)
-    subtracted_g = _G * np.abs(figures(lambda one, _: one.tare_subtracted_kg) - truth)
-    return StrangerRow(
-        case=case,
-        has_tare=has_tare,
-        logs=len(results),
-        answered=len(logs) / len(results),
-        ok=int(np.sum(ok)) / len(results),
-        mae_g=_over(np.mean, off_g),
-        mae_sd_g=_over(_standard_error, off_g),
-        median_g=_over(np.median, off_g),
-        worst_g=_over(np.max, off_g),
-        bound_g=_over(np.mean, _G * _OF_SD * figures(lambda one, _: one.bounds_kg[has_tare])),
-        least_squares=_rival(off_g, squares_g),
-        tare_subtracted=_rival(off_g, subtracted_g) if has_tare else None,
-        held=_over(np.mean, ((low <= truth) & (truth <= high)).astype(np.float64)),
-        width_g=_over(np.median, _G * (high - low)),
-        far_ok=int(np.sum(ok & far)) / len(results),
-        wrong_ok=int(np.sum(ok & ~right)),
+def stranger_row(case: StrangerCase, logs: Sequence[Row], *, has_tare: bool) -> Row:
+    """Compute the figures of one cell's logs [g], without their tares or with them."""
+    pairs = [(one, answer) for one in logs if (answer := one["answers"][has_tare]) is not None]
+    answers = [answer for _, answer in pairs]
+    truth = np.array([one["truth"] for one, _ in pairs])
+    low, high = (
+        np.array([getattr(one, name) for one in answers]) for name in ("low_kg", "high_kg")
     )
-
-
-def _over(summary: Callable[[Array], float], values: Array) -> float | None:
-    return float(summary(values)) if len(values) else None
+    off_g = _G * np.abs(np.array([one.mass_kg for one in answers]) - truth)
+    far = off_g > _FAR_HALF_WIDTHS * _G * (high - low) / 2
+    ok = np.array([one.is_ok for one in answers], bool)
+    wrong = np.array([one.convention != PLAIN for one in answers], bool)
+    row: Row = {
+        "case": case.label,
+        "size": case.size,
+        "has_tare": has_tare,
+        "logs": len(logs),
+        "answered": len(pairs) / len(logs),  # what follows is of these, but for `ok`, `far_ok`
+        "ok": int(ok.sum()) / len(logs),
+        "mae_g": figure(off_g),
+        "mae_sd_g": figure(off_g, _standard_error),
+        "median_g": figure(off_g, np.median),
+        "worst_g": figure(off_g, np.max),
+        # mean absolute error at the Cramér-Rao bound of noise alone
+        "bound_g": figure([_G * _OF_SD * one["bounds"][has_tare] for one, _ in pairs]),
+        "held": figure(holds(low, high, truth)),
+        "width_g": figure(_G * (high - low), np.median),
+        "far_ok": int(np.sum(ok & far)) / len(logs),  # further off than three half widths
+        "wrong_ok": int(np.sum(ok & wrong)),  # whose convention is not what the driver means
+    }
+    for name in ("least_squares", "tare_subtracted")[: 1 + has_tare]:
+        theirs_g = _G * np.abs(np.array([one[name] for one, _ in pairs]) - truth)
+        lead_g, sd_g = figure(theirs_g - off_g), figure(theirs_g - off_g, _standard_error)
+        if lead_g is not None and sd_g is not None:
+            # ours, by a standard error of the paired difference
+            standing = "level" if abs(lead_g) <= sd_g else "ahead" if lead_g > 0 else "behind"
+            row |= {f"{name}_mae_g": figure(theirs_g), f"{name}_standing": standing}
+    return row
 
 
 def _standard_error(values: Array) -> float:
@@ -692,19 +551,9 @@ def _standard_error(values: Array) -> float:
     return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
 
 
-def _rival(ours_g: Array, theirs_g: Array) -> Rival | None:
-    """Compare a baseline's absolute errors with ours on the same logs, both of shape (N,)."""
-    if not len(ours_g):
-        return None
-    lead_g, sd_g = float(np.mean(theirs_g - ours_g)), _standard_error(theirs_g - ours_g)
-    standing = "level" if abs(lead_g) <= sd_g else "ahead" if lead_g > 0 else "behind"
-    return Rival(float(np.mean(theirs_g)), standing)
-
-
 # ---- Torque conventions: how often a log reveals its driver's.
 # A torque is the joint's or the load's, with the arm's weight in it or without. Strangers' logs
 # without a tare, light and full ones in turn, are given as each of the four drivers would.
-
 
 # Of a log; who trusts `ok` is misled by the third alone.
 OUTCOMES = ("right and ok", "right and suspect", "wrong and ok", "wrong and suspect", "rejected")
@@ -712,52 +561,19 @@ OUTCOMES = ("right and ok", "right and suspect", "wrong and ok", "wrong and susp
 _TROUBLES = (LIGHT, FULL)
 
 
-@dataclass(frozen=True)
-class ConventionRow:
-    """Logs of drivers with one convention."""
-
-    convention: Convention | None  # what they mean; None for all drivers together
-    logs: int  # how many
-    outcomes: Mapping[str, int]  # how many of them, by the words of `OUTCOMES`
+def convention_of(at: int) -> Convention:
+    """Return what the driver of log `at` of all means."""
+    return CONVENTIONS[at // len(_TROUBLES) % len(CONVENTIONS)]
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """One log."""
-
-    number: int  # that it is drawn from
-    at: int  # its place among all, which says the troubles and the convention
-
-    @property
-    def convention(self) -> Convention:
-        return CONVENTIONS[self.at // len(_TROUBLES) % len(CONVENTIONS)]
-
-
-def convention_rows(
-    seeds: Sequence[int], count: int, jobs: int | None, progress: Progress
-) -> list[ConventionRow]:
-    """Tune `count` logs in equal shares of the seeds: a row each convention, and one of all."""
-    asked = [_Asked(number, at) for at, number in enumerate(stranger_numbers(seeds, count))]
-    parts = [tuple(asked[at : at + _BATCH]) for at in range(0, len(asked), _BATCH)]
-    pieces = [Piece(part, len(part), "") for part in parts]
-    done = parallel_map(_outcomes, pieces, jobs, progress, ("conventions", "log"))
-    told = [what for part in done for what in part]
-    rows = []
-    for meant in (*CONVENTIONS, None):
-        pairs = zip(asked, told, strict=True)
-        own = [what for one, what in pairs if meant in (None, one.convention)]
-        counts = {what: own.count(what) for what in OUTCOMES}
-        rows.append(ConventionRow(meant, len(own), counts))
-    return rows
-
-
-def _outcomes(asked: tuple[_Asked, ...]) -> list[str]:
-    found = []
-    for one in asked:
-        troubles = _TROUBLES[one.at % len(_TROUBLES)]
-        log = stranger_log(JACO_URDF, JACO_TOOL_LINK, one.number, troubles)
-        meant = as_meant(described_arm(JACO_URDF), log.held, one.convention)
-        found.append(outcome(one.convention, stranger_answer(meant, ())))
+def convention_logs(case: tuple[tuple[int, int], ...]) -> list[str]:
+    """Tune logs, each a place among all and a number to draw it from; see `OUTCOMES`."""
+    found: list[str] = []
+    for at, number in case:
+        troubles, convention = _TROUBLES[at % len(_TROUBLES)], convention_of(at)
+        log = stranger_log(JACO_URDF, JACO_TOOL_LINK, number, troubles)
+        meant = as_meant(described_arm(JACO_URDF), log.held, convention)
+        found.append(outcome(convention, stranger_answer(meant, ())))
     return found
 
 
@@ -782,202 +598,244 @@ def as_meant(model: Any, run: StrangerRun, convention: Convention) -> Episode:
     return replace(run.episode, signals={position.name: position, effort.name: turned})
 
 
-# ---- JSON and CSV.
+# ---- Cards: what an arm's card is worth beside tares of the log itself.
+# A stranger's arm: a log whose payload is sought, three runs of the empty gripper and one with
+# another payload, all along other motions, the sensors' zeros drifting between any two runs. Every
+# card is from runs that the log knows nothing of.
 
 
-def mass_records(rows: Sequence[MassRow], order: MassOrder) -> list[dict[str, Any]]:
-    """Return one record for each method, set and seed."""
-    sets = list(SETS)
-    return [
+WAYS = (
+    "alone",
+    "one tare",
+    "three tares",
+    "card of an empty run",
+    "card of another payload's run",
+    "card of that and one tare",
+    "card of that and three tares",
+    "the same, learnt in two steps",
+)
+
+
+def fits_of_arm(number: int) -> list[Array]:
+    """Return mass, lower and upper end, truth [kg] in each of `WAYS`, shape (W, 4)."""
+    rng = np.random.default_rng([number, 77])
+    mass_kg, other_kg = rng.uniform(0.0, 2.5), rng.uniform(0.2, 2.5)
+    away = rng.standard_normal(3)
+    centre_m = 0.015 * away / np.linalg.norm(away)
+    payloads = [(mass_kg, centre_m), (other_kg, -centre_m), None, None, None]
+    runs = stranger_runs(JACO_URDF, JACO_TOOL_LINK, number, FULL, payloads)
+    arm = jaco()
+    log, other, *empty = (arm_motion(read_arm_log(one.episode, arm)) for one in runs)
+
+    def learnt(
+        motion: ArmMotion, tares: list[ArmMotion], known: NormalEquations | None = None
+    ) -> NormalEquations:
+        return fit_payload(arm, motion, tares, known=known).learnt
+
+    one = learnt(other, empty[:1])
+    cards = (
+        *(learnt(empty[0], []), learnt(other, []), one, learnt(other, empty)),
+        learnt(empty[1], empty[2:], one),
+    )
+    fits = [fit_payload(arm, log, tares) for tares in ([], empty[:1], empty)]
+    fits += [fit_payload(arm, log, known=card) for card in cards]
+    return [np.array([[fit.held.mass_kg, *fit.held.interval95, mass_kg] for fit in fits])]
+
+
+def _cards(order: Order, progress: Progress) -> Part:
+    """Draw the arms in equal shares of the seeds."""
+    count = order.targets_of("payload", "cards")
+    share = -(-count // len(order.seeds))
+    numbers = [5_000 + 1_000 * seed + one for seed in order.seeds for one in range(share)][:count]
+    cases = {"": [Piece(number, 1, f"arm {number}") for number in numbers]}
+    found = scored(fits_of_arm, cases, order, progress, ("cards", "arm"))[""]
+    masses, lows, highs, truths = np.stack(found).transpose(2, 1, 0)
+    errors_g = _G * np.abs(masses - truths)
+    rows: list[Row] = [
         {
-            "method": row.method.name,
-            "iterations": row.method.iterations,
-            "set": row.which,
-            "seed": seed,
-            "mae_kg": float(errors.mean()),
-            "percent": float(percents.mean()),
-            "paper_mae_kg": row.method.paper[sets.index(row.which)],
+            "way": way,
+            "mean_g": float(own.mean()),
+            "sd_g": float(own.std() / np.sqrt(len(own))),
+            "median_g": float(np.median(own)),
+            "worst_g": float(own.max()),
+            "more_than_one_tare_g": float(more.mean()),
+            "more_sd_g": float(more.std() / np.sqrt(len(own))),
+            "held": figure(held),
+            "width_g": float(np.median(width_g)),
         }
-        for row in rows
-        for seed, errors, percents in zip(order.seeds, row.errors, row.percents, strict=True)
+        for way, own, more, held, width_g in zip(
+            WAYS,
+            errors_g,
+            errors_g - errors_g[WAYS.index("one tare")],
+            holds(lows, highs, truths),
+            _G * (highs - lows),
+            strict=True,
+        )
     ]
+    return Part("cards", listed(rows, f"Errors of {count} strangers' arms, by the fit alone"), rows)
 
 
-def log_records(rows: Sequence[LogRow]) -> list[dict[str, Any]]:
-    """Return one record for each case."""
-    records = []
-    for row in rows:
-        record = asdict(row)
-        record["case"] = row.case.label
-        records.append(record)
-    return records
+# ---- Run: section by section.
 
 
-def stranger_records(rows: Sequence[StrangerRow]) -> list[dict[str, Any]]:
-    """Return one record for each cell, without the tares and with them."""
-    records = []
-    for row in rows:
-        record = asdict(row)
-        record["case"], record["size"] = row.case.label, row.case.size
-        records.append(record)
-    return records
+def run(order: Order, progress: Progress) -> Iterator[Part]:
+    """Run the sections in their order."""
+    for section in order.sections:
+        yield SECTIONS[section](order, progress)
 
 
-def payload_json(
-    masses: Sequence[MassRow],
-    logs: Sequence[LogRow],
-    order: MassOrder,
-    strangers: Sequence[StrangerRow] = (),
-    conventions: Sequence[ConventionRow] = (),
-) -> str:
-    """Serialise `masses` for each seed, with the mean over all, and the rows of the others."""
-    summary = [
-        {
-            "method": row.method.name,
-            "set": row.which,
-            "mae_kg": float(np.mean(row.errors)),
-            "percent": float(np.mean(row.percents)),
-        }
-        for row in masses
+def _masses(order: Order, progress: Progress) -> Part:
+    """Run every seed in a process of its own, as its networks are trained there."""
+    needed("torch")
+    cases = {"": [Piece((seed, order), 1, f"seed {seed}") for seed in order.seeds]}
+    rows = scored(masses_of_seed, cases, order, progress, ("masses", "seed"))[""]
+    return Part("masses", mass_table(rows, order), rows)
+
+
+def _logs(order: Order, progress: Progress) -> Part:
+    count = max(1, order.targets_of("payload", "logs") * 2 // 3)
+    share = -(-count // len(order.seeds))
+    numbers = [seed * ARMS + one for seed in order.seeds for one in range(share)][:count]
+    done = scored(driver_logs, _cases(CASES, numbers, 10), order, progress, ("payloads", "log"))
+    rows = [log_row(case, logs) for case, logs in done.items()]
+    title = (
+        f"Payloads of 0 to {MAX_KG:g} kg in logs of 5 s, through the whole of tunenet-tune.\n"
+        "bound's: the best that the model which the answer states allows (Cramér and Rao).\n"
+        "centre: how often it is given, with which errors of x, y, z and of the mass then.\n"
+    )
+    return Part("logs", table(shown(_LOG_COLUMNS, rows), title), rows)
+
+
+def _strangers(order: Order, progress: Progress) -> Part:
+    numbers = stranger_numbers(order.seeds, order.targets_of("payload", "strangers"))
+    cases = _cases(STRANGER_CASES, numbers, 5)
+    done = scored(stranger_logs, cases, order, progress, ("strangers", "log"))
+    rows = [
+        stranger_row(case, logs, has_tare=has_tare)
+        for case, logs in done.items()
+        for has_tare in (False, True)
     ]
-    content = {
-        "seeds": list(order.seeds),
-        "targets": order.targets,
-        "summary": summary,
-        "masses": mass_records(masses, order),
-        "logs": log_records(logs),
-        "strangers": stranger_records(strangers),
-        "conventions": [asdict(row) for row in conventions],
-    }
-    return json_text(content)
+    title = (
+        "Payloads of 0 to 2.5 kg on strangers' arms, through the whole of tunenet-tune, in g.\n"
+        "MAE: with its standard error. bound's: of noise alone (Cramér and Rao). ahead, level,\n"
+        "behind: ours, by a standard error of the paired difference. held: 95 % intervals, shown\n"
+        "or not. ok, far: off by over three half widths of it; at most 1 log in 400 may be.\n"
+    )
+    return Part("strangers", table(shown(_STRANGER_COLUMNS, rows), title), rows)
 
 
-def payload_csv(masses: Sequence[MassRow], order: MassOrder) -> str:
-    """Format table 1 in long form."""
-    records = mass_records(masses, order)
-    return csv_text(list(records[0]) if records else ["method"], records)
+def _cases(kinds: Sequence[Any], numbers: Sequence[int], size: int) -> dict[Any, list[Piece[Any]]]:
+    """Split the numbers of each kind: few a portion, so that the processes end together."""
+    parts = [tuple(numbers[at : at + size]) for at in range(0, len(numbers), size)]
+    return {kind: [Piece((kind, part), len(part), kind.label) for part in parts] for kind in kinds}
+
+
+def _conventions(order: Order, progress: Progress) -> Part:
+    numbers = stranger_numbers(order.seeds, order.targets_of("payload", "conventions"))
+    asked = list(enumerate(numbers))
+    parts = [tuple(asked[at : at + 5]) for at in range(0, len(asked), 5)]
+    cases = {"": [Piece(part, len(part)) for part in parts]}
+    outcomes = scored(convention_logs, cases, order, progress, ("conventions", "log"))[""]
+    rows: list[Row] = []
+    for meant in (*CONVENTIONS, None):
+        own = [what for at, what in enumerate(outcomes) if meant in (None, convention_of(at))]
+        words = "all drivers"
+        if meant is not None:
+            words = f"{'joint' if meant.sign > 0 else 'load'}'s, "
+            words += "with" if meant.has_gravity else "without"
+        rows.append(
+            {"drivers": words, "logs": len(own), **{what: own.count(what) for what in OUTCOMES}}
+        )
+    lines = [["sign and gravity", *(row["drivers"] for row in rows)]]
+    lines += [[what, *(str(row[what]) for row in rows)] for what in ("logs", *OUTCOMES)]
+    title = (
+        "What drivers mean by torque, the joint's or the load's, with the arm's weight or\n"
+        "without, as told from strangers' logs without a tare, light and full ones in turn.\n"
+    )
+    return Part("conventions", table(lines, title), rows)
+
+
+SECTIONS = {
+    "masses": _masses,
+    "logs": _logs,
+    "strangers": _strangers,
+    "conventions": _conventions,
+    "cards": _cards,
+}
 
 
 # ---- Tables for a terminal, the paper's figures beside ours.
 
 
-_WIDTHS = (30, 4, 32, 32, 0)
-_LOG_WIDTHS = (38, 6, 10, 10, 10, 10, 8, 8, 0)
-_STRANGER_WIDTHS = (26, 6, 6, 14, 8, 7, 9, 15, 17, 8, 8, 8, 8, 0)
-_CONVENTION_WIDTHS = (20, 16, 16, 18, 18, 0)  # of the columns [characters]
-
-
-def mass_table(rows: Sequence[MassRow], order: MassOrder) -> str:
+def mass_table(rows: Sequence[Row], order: Order) -> str:
     """Tabulate the paper's table 1: mean absolute errors and percent, over the seeds."""
-    lines = [
-        f"Mass in the gripper, mean absolute error in kg; {seeds_in_words(order.seeds)}, "
-        f"{order.targets} targets each.",
-        "In brackets: the paper's. [lowest–highest]: of the seeds.",
-        "",
-        table_line(("method", "K", "validation, 0 to 1 kg", "test, 1 to 2 kg", "test, %"), _WIDTHS),
-    ]
+    lines = [["method", "K", "validation, 0 to 1 kg", "test, 1 to 2 kg", "test, %"]]
     for method in METHODS:
-        of = {row.which: row for row in rows if row.method == method}
-        errors = [
-            _figure(of[which], published)
-            for which, published in zip(SETS, method.paper, strict=True)
-        ]
-        iterations = str(method.iterations) if method.iterations else "-"
-        percent = f"{float(np.mean(of['test'].percents)):.2g}"
-        if method.percent is not None:
-            percent += f" ({method.percent:g})"
-        lines.append(table_line((method.label, iterations, *errors, percent), _WIDTHS))
-    return "\n".join(lines)
+        own = [row for row in rows if row["method"] == method.name]
+        cells = [method.label, str(method.iterations) if method.iterations else "-"]
+        for which, published in zip(SETS, method.paper, strict=True):
+            seeds = np.array([row["mae_kg"] for row in own if row["set"] == which])
+            paper = "" if published is None else f" ({published:g})"
+            spread = f" [{seeds.min():.2g}–{seeds.max():.2g}]" if len(seeds) > 1 else ""
+            cells.append(f"{seeds.mean():.2g}{paper}{spread}")
+        test = np.mean([row["percent"] for row in own if row["set"] == "test"])
+        paper = "" if method.percent is None else f" ({method.percent:g})"
+        lines.append([*cells, f"{test:.2g}{paper}"])
+    title = (
+        f"Mass in the gripper, mean absolute error in kg; {order.seeds_in_words}, "
+        f"{order.targets} targets each.\n"
+        "In brackets: the paper's. [lowest–highest]: of the seeds.\n"
+    )
+    return table(lines, title)
 
 
-def log_table(rows: Sequence[LogRow]) -> str:
-    """Tabulate errors beside the Cramér-Rao bound, coverage, centres of mass."""
-    head = ("logs", "count", "answered", "MAE, kg", "bound's", "secant", "held", "width", "centre")
-    lines = [
-        f"Payloads of 0 to {MAX_KG:g} kg in logs of 5 s, through the whole of tunenet-tune.",
-        "bound's: the best that the model which the answer states allows (Cramér and Rao).",
-        "centre: how often it is given, with which errors of x, y, z and of the mass then.",
-        "",
-        table_line(head, _LOG_WIDTHS),
-    ]
-    for row in rows:
-        figures = [_short(error) for error in (row.mae, row.bound, row.secant)]
-        cells = [row.case.label, str(row.logs), f"{100 * row.answered:.3g} %", *figures]
-        held = "-" if row.held is None else f"{100 * row.held:.3g} %"
-        lines.append(table_line([*cells, held, _short(row.width), _centre(row)], _LOG_WIDTHS))
-    return "\n".join(lines)
+def _rival(name: str) -> Callable[[Row], str]:
+    def cell(row: Row) -> str:
+        mae_g = row.get(f"{name}_mae_g")
+        return "-" if mae_g is None else f"{mae_g:.1f} {row[f'{name}_standing']}"
+
+    return cell
 
 
-def stranger_table(rows: Sequence[StrangerRow]) -> str:
-    """Tabulate errors on arms that share no code with the fit, beside the baselines."""
-    head = ("arms", "tare", "logs", "MAE, g", "median", "worst", "bound's", "least squares")
-    head += ("tare subtracted", "held", "width", "ok", "ok, far", "ok, wrong sign or gravity")
-    lines = [
-        "Payloads of 0 to 2.5 kg on strangers' arms, through the whole of tunenet-tune, in g.",
-        "MAE: with its standard error. bound's: of noise alone (Cramér and Rao). ahead, level,",
-        "behind: ours, by a standard error of the paired difference. held: 95 % intervals, shown",
-        "or not. ok, far: off by over three half widths of it; at most 1 log in 400 may be.",
-        "",
-        table_line(head, _STRANGER_WIDTHS),
-    ]
-    for row in rows:
-        size = {0.5: ", half as large", 2.0: ", twice as large"}.get(row.case.size, "")
-        mae = "-" if row.mae_g is None else f"{row.mae_g:.1f} ± {row.mae_sd_g:.1f}"
-        figures = [_tenths(one) for one in (row.median_g, row.worst_g, row.bound_g)]
-        rivals = [_rival_words(one) for one in (row.least_squares, row.tare_subtracted)]
-        cells = [row.case.label + size, "yes" if row.has_tare else "no", str(row.logs), mae]
-        cells += [*figures, *rivals, _percent(row.held), _tenths(row.width_g)]
-        cells += [_percent(row.ok), _percent(row.far_ok), str(row.wrong_ok)]
-        lines.append(table_line(cells, _STRANGER_WIDTHS))
-    return "\n".join(lines)
-
-
-def convention_table(rows: Sequence[ConventionRow]) -> str:
-    """Tabulate the recognised conventions: a column for each kind of driver."""
-    head = ["sign and gravity"]
-    for row in rows:
-        means = row.convention
-        sign = "" if means is None else f"{'joint' if means.sign > 0 else 'load'}'s"
-        weight = "" if means is None else f", {'with' if means.has_gravity else 'without'}"
-        head.append(sign + weight or "all drivers")
-    lines = [
-        "What drivers mean by torque, the joint's or the load's, with the arm's weight or",
-        "without, as told from strangers' logs without a tare, light and full ones in turn.",
-        "",
-        table_line(head, _CONVENTION_WIDTHS),
-        table_line(["logs", *(str(row.logs) for row in rows)], _CONVENTION_WIDTHS),
-    ]
-    for what in OUTCOMES:
-        counts = [str(row.outcomes[what]) for row in rows]
-        lines.append(table_line([what, *counts], _CONVENTION_WIDTHS))
-    return "\n".join(lines)
-
-
-def _tenths(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:.3g} %"
-
-
-def _rival_words(rival: Rival | None) -> str:
-    return "-" if rival is None else f"{rival.mae_g:.1f} {rival.standing}"
-
-
-def _short(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}"
-
-
-def _centre(row: LogRow) -> str:
-    if row.centre_mm is None or row.told_mae is None or not row.told:
+def _centre(row: Row) -> str:
+    if row["centre_mm"] is None:
         return "-"
-    axes = " / ".join(f"{error_mm:.1f}" for error_mm in row.centre_mm)
-    return f"{100 * row.told:.3g} %, {axes} mm, {row.told_mae:.4f} kg"
+    axes = " / ".join(f"{error_mm:.1f}" for error_mm in row["centre_mm"])
+    return f"{100 * row['told']:.3g} %, {axes} mm, {row['told_mae']:.4f} kg"
 
 
-def _figure(row: MassRow, published: float | None) -> str:
-    seeds = row.errors.mean(axis=1)
-    paper = "" if published is None else f" ({published:g})"
-    spread = f" [{seeds.min():.2g}–{seeds.max():.2g}]" if len(seeds) > 1 else ""
-    return f"{seeds.mean():.2g}{paper}{spread}"
+def _share(fraction: float | None) -> str:
+    return "-" if fraction is None else f"{100 * fraction:.3g} %"
+
+
+_LOG_COLUMNS: Columns = (
+    ("logs", lambda row: row["case"]),
+    ("count", lambda row: str(row["logs"])),
+    ("answered", lambda row: _share(row["answered"])),
+    ("MAE, kg", lambda row: decimals(row["mae"], 4)),
+    ("bound's", lambda row: decimals(row["bound"], 4)),
+    ("secant", lambda row: decimals(row["secant"], 4)),
+    ("held", lambda row: _share(row["held"])),
+    ("width", lambda row: decimals(row["width"], 4)),
+    ("centre", _centre),
+)
+_SIZES = {0.5: ", half as large", 2.0: ", twice as large"}
+_STRANGER_COLUMNS: Columns = (
+    ("arms", lambda row: row["case"] + _SIZES.get(row["size"], "")),
+    ("tare", lambda row: "yes" if row["has_tare"] else "no"),
+    ("logs", lambda row: str(row["logs"])),
+    (
+        "MAE, g",
+        lambda row: "-" if row["mae_g"] is None else f"{row['mae_g']:.1f} ± {row['mae_sd_g']:.1f}",
+    ),
+    ("median", lambda row: decimals(row["median_g"])),
+    ("worst", lambda row: decimals(row["worst_g"])),
+    ("bound's", lambda row: decimals(row["bound_g"])),
+    ("least squares", _rival("least_squares")),
+    ("tare subtracted", _rival("tare_subtracted")),
+    ("held", lambda row: _share(row["held"])),
+    ("width", lambda row: decimals(row["width_g"])),
+    ("ok", lambda row: _share(row["ok"])),
+    ("ok, far", lambda row: _share(row["far_ok"])),
+    ("ok, wrong sign or gravity", lambda row: str(row["wrong_ok"])),
+)

@@ -6,21 +6,26 @@ that knows the model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
-from itertools import chain
-from typing import Any, TypeVar
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tunenet_logs.analysis.evaluation.studies.video import tune_track
 from tunenet_logs.analysis.evaluation.study import (
-    csv_text,
-    json_text,
-    seeds_in_words,
-    short_or_dash,
-    table_line,
+    Columns,
+    Order,
+    Part,
+    Row,
+    decimals,
+    figure,
+    holds,
+    percent,
+    scored,
+    short,
+    shown,
+    table,
 )
 from tunenet_logs.analysis.evaluation.worlds.ball import (
     CELLS,
@@ -44,7 +49,7 @@ from tunenet_logs.analysis.evaluation.worlds.ball import (
 from tunenet_logs.analysis.evaluation.worlds.camera import filmed
 from tunenet_logs.analysis.experiment import Tuning, record_of
 from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.analysis.parallel import Piece, parallel_map
+from tunenet_logs.analysis.parallel import Piece
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.recorders.simulators.ball import DropSimulator
@@ -271,59 +276,31 @@ LIGHT_DRAGS_1_M = (0.1, 0.14)
 LIGHT_RADIUS_M = 0.02  # of light balls whose kind is not named, about a table-tennis ball's
 LIGHT = ("light, no slope", "light, slope")  # their names in tables
 _FILM_HZ = 60.0
-
-
-@dataclass(frozen=True)
-class CellPortion:
-    """Some of a seed's drops of a cell."""
-
-    cell: WorldCell
-    seed: int
-    numbers: range
+# By which a ball's motion is foretold: ours, tuned on the first `SEEN` of the time; the preset
+# "paper" on all that it asks for, for any verdict; and without air, by the restitution that gives
+# the first rebound's height, and by the one that is best on the first `SEEN`.
+MOTION = ("ours", "paper", "first_rebound", "best_airless")
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
-    """Results of the product and of the reference on a drop of a cell."""
+class Score:
+    """Results of one drop."""
 
     ours: Found
-    reference: Found
+    reference: Found | None = None
+    # mean error of each foretold motion from the release to the last bounce in view, over the drop
+    motion: dict[str, float] = field(default_factory=dict[str, float])
+    verdict_ahead: str = ""  # of our tuning for it
 
 
-@dataclass(frozen=True, eq=False)
-class Moved:
-    """Errors of each tuning's motion on a drop of the table.
-
-    Every error is the mean distance from the release to the last bounce in view, over the drop; NaN
-    where there is no answer.
-    """
-
-    ball: str  # its name
-    drop_m: float  # that it fell
-    ours: float  # tuned on the first `SEEN` of the time
-    verdict: str  # of that tuning
-    paper: float  # the preset "paper", tuned on all that it asks for, for any verdict
-    first_rebound: float  # no air, the restitution that gives the first rebound's height
-    best_airless: float  # no air, the restitution that is best on the first `SEEN`
-    whole: Found  # what a tuning on all that is in view finds
-
-
-@dataclass(frozen=True, eq=False)
-class FilmedBall:
-    """Video of a ball."""
-
-    ball: str  # its name
-    found: Found  # by a tuning on the whole film
-    ahead: float  # mean error of the motion as in `Moved.ours`; NaN where it was not asked for
-
-
-def compared_drops(portion: CellPortion) -> list[Compared]:
-    """Tune each drop, and fit it by the reference."""
-    found: list[Compared] = []
-    for number in portion.numbers:
-        drop = draw_drop(portion.cell, portion.seed, number)
+def compared_drops(case: tuple[WorldCell, int, range]) -> list[Score]:
+    """Tune drops of a cell and a seed, and fit them by the reference."""
+    cell, seed, numbers = case
+    found: list[Score] = []
+    for number in numbers:
+        drop = draw_drop(cell, seed, number)
         ours = found_by(tune_episode(drop.episode(), TuneOptions()), drop)
-        found.append(Compared(ours, reference_found(drop, portion.cell)))
+        found.append(Score(ours, reference_found(drop, cell)))
     return found
 
 
@@ -336,61 +313,58 @@ def reference_found(drop: RecordedDrop, cell: WorldCell) -> Found:
     return Found(drop.ball.values[:3], fit.values, fit.interval95, "", path)
 
 
-def moved_drops(asked: tuple[TableBall, int, int]) -> list[Moved]:
+def moved_drops(case: tuple[TableBall, int, int]) -> list[Score]:
     """Measure the motion of a ball, for a seed and a number of drops from each height."""
-    ball, seed, count = asked
-    found: list[Moved] = []
-    for drop in table_drops(ball, seed, count):
+    found: list[Score] = []
+    for drop in table_drops(*case):
         view = drop.view
         seen = view.until(SEEN * view.last_bounce_s)
         ahead = tune_episode(seen.episode(), TuneOptions())
         paper = tune_episode(drop.whole.episode(), TuneOptions(preset="paper"))
-        found.append(
-            Moved(
-                ball=ball.name,
-                drop_m=view.ball.drop_m,
-                ours=_mean_error(off_motion(ahead, view)),
-                verdict=ahead.verdict,
-                paper=_mean_error(off_path(paper, drop.whole.until(view.last_bounce_s))),
-                first_rebound=_mean_error(airless_off(first_rebound(view), view)),
-                best_airless=_mean_error(airless_off(best_of_all(seen), view)),
-                whole=found_by(tune_episode(view.episode(), TuneOptions()), view),
-            )
+        offs = (
+            off_motion(ahead, view),
+            off_path(paper, drop.whole.until(view.last_bounce_s)),
+            airless_off(first_rebound(view), view),
+            airless_off(best_of_all(seen), view),
         )
+        motion: dict[str, float] = dict(zip(MOTION, map(_mean_error, offs), strict=True))
+        whole = found_by(tune_episode(view.episode(), TuneOptions()), view)
+        found.append(Score(whole, None, motion, ahead.verdict))
     return found
 
 
-def filmed_table(asked: tuple[TableBall, int, int]) -> list[FilmedBall]:
+def filmed_table(case: tuple[TableBall, int, int]) -> list[Score]:
     """Measure as `moved_drops`, on videos."""
-    ball, seed, count = asked
-    found: list[FilmedBall] = []
-    for at, drop in enumerate(table_drops(ball, seed, count)):
+    ball, seed, _ = case
+    found: list[Score] = []
+    for at, drop in enumerate(table_drops(*case)):
         view = drop.view
-        rng = np.random.default_rng([seed, at, *b"film", *ball.name.encode()])
-        track = filmed(view, ball.diameter_m / 2, rng)
-        rng = np.random.default_rng([seed, at, *b"film", *ball.name.encode()])
-        seen = filmed(view.until(SEEN * view.last_bounce_s), ball.diameter_m / 2, rng)
-        ahead = tune_track(seen, TuneOptions())
-        whole = found_by(tune_track(track, TuneOptions()), view)
-        found.append(FilmedBall(ball.name, whole, _mean_error(off_motion(ahead, view))))
+
+        def film(view: RecordedDrop, at: int = at) -> Tuning:
+            rng = np.random.default_rng([seed, at, *b"film", *ball.name.encode()])
+            return tune_track(filmed(view, ball.diameter_m / 2, rng), TuneOptions())
+
+        ahead = film(view.until(SEEN * view.last_bounce_s))
+        motion = {"ours": _mean_error(off_motion(ahead, view))}
+        found.append(Score(found_by(film(view), view), None, motion))
     return found
 
 
-def filmed_light(asked: tuple[bool, int, range]) -> list[FilmedBall]:
+def filmed_light(case: tuple[bool, int, range]) -> list[Score]:
     """Tune videos of light balls that are not named: with a slope or none, of a seed."""
-    slopes, seed, numbers = asked
-    found: list[FilmedBall] = []
+    has_slope, seed, numbers = case
+    found: list[Score] = []
     for number in numbers:
         rng = np.random.default_rng([seed, number, *b"light"])
         ball = RealBall(
             rng.uniform(*RESTITUTIONS),
-            rng.uniform(*SLOPES) * slopes,
+            rng.uniform(*SLOPES) * has_slope,
             rng.uniform(*LIGHT_DRAGS_1_M),
             rng.uniform(*DROPS_M),
         )
         drop = record_drop(ball, _FILM_HZ, 0.0, rng)
         tuning = tune_track(filmed(drop, LIGHT_RADIUS_M, rng), TuneOptions())
-        found.append(FilmedBall(LIGHT[slopes], found_by(tuning, drop), np.nan))
+        found.append(Score(found_by(tuning, drop)))
     return found
 
 
@@ -398,277 +372,111 @@ def _mean_error(off: Array | None) -> float:
     return np.nan if off is None or not len(off) else float(np.mean(np.abs(off)))
 
 
+# ---- Run: the stranger's balls, those of the table, and videos.
+
+
+_PORTION = 5  # drops in a portion: few, so that the processes end together
+
+
+def run(order: Order, progress: Progress) -> Iterator[Part]:
+    """Tune the drops of each section; the first part says what is measured."""
+    # drops of a ball of the table for each height and seed: one for 50 drops of a cell
+    count = max(1, order.targets // 50)
+    yield Part("", protocol(order, count))
+    portions = order.portions(_PORTION)
+
+    def table_cases(ball: TableBall) -> list[Piece[Any]]:
+        units = count * len(HEIGHTS_M)
+        return [Piece((ball, seed, count), units, ball.name) for seed in order.seeds]
+
+    of_table = {ball.name: table_cases(ball) for ball in TABLE_BALLS}
+    of_cells = {
+        cell.label: [Piece((cell, *one), len(one[1]), cell.label) for one in portions]
+        for cell in CELLS
+    }
+    of_light = {
+        label: [Piece((bool(slopes), *one), len(one[1]), label) for one in portions]
+        for slopes, label in enumerate(LIGHT)
+    }
+    work = {
+        "positions": [(compared_drops, of_cells)],
+        "balls": [(moved_drops, of_table)],
+        "films": [(filmed_table, of_table), (filmed_light, of_light)],
+    }
+    for section in order.sections:
+        rows: list[Row] = []
+        for score, cases in work[section]:
+            done = scored(score, cases, order, progress, ("real balls", "drop"))
+            for label, scores in done.items():
+                rows += lines_of(label, scores)
+        yield Part(section, "\n\n".join(section_tables(section, rows)), rows)
+
+
 # ---- Figures of a line: errors with the worst beside the mean, intervals, verdicts.
 
 
 PATH = "path"
-# Quantities beside the parameters; see `Found` and `Moved`.
-MOTION = ("ours", "paper", "first_rebound", "best_airless")
 
 
-Shares = tuple[float | None, float | None, float | None]  # of the verdicts, in their order
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Statistics of absolute errors; None where there is none."""
-
-    mean: float | None  # over all that were answered
-    median: float | None  # likewise
-    p99: float | None  # 99th percentile
-    worst: float | None  # largest
-
-
-@dataclass(frozen=True)
-class RealLine:
-    """Results of drops of one kind, for one quantity. Fractions; None where there is none."""
-
-    section: str  # of the evaluation
-    label: str  # the kind
-    quantity: str  # one of `PARAMETERS`, `PATH`, or one of `MOTION`
-    drops: int  # how many there were
-    answered: int  # how many got a value
-    ok: float | None  # share of that verdict; `suspect` and `rejected` likewise
-    suspect: float | None
-    rejected: float | None
-    ours: Spread  # errors: of a path or a motion over the drop height, of a drag in 1/m
-    reference: Spread  # those of the fit that knows the model
-    intervals: int = 0  # how many 95 % intervals are given
-    covered: float | None = None  # of these, how many hold the truth
-    reference_covered: float | None = None  # of the reference's
-    width: float | None = None  # median of an interval's width over the reference's
-    widest: float | None = None  # the largest of these
-
-
-NONE = Spread(None, None, None, None)
-
-
-def compared_lines(label: str, drops: Sequence[Compared]) -> list[RealLine]:
-    """Return a line for each parameter and the path."""
-    ours = [drop.ours for drop in drops]
-    return found_lines("positions", label, ours, [drop.reference for drop in drops])
-
-
-def moved_lines(label: str, drops: Sequence[Moved]) -> list[RealLine]:
-    """Return a line for each parameter, the path and each tuning's motion."""
-    lines = found_lines("balls", label, [drop.whole for drop in drops])
-    shares = _verdicts([drop.verdict for drop in drops])
+def lines_of(label: str, scores: Sequence[Score]) -> list[Row]:
+    """Return a line for each parameter, one for the path, and one for each foretold motion."""
+    ours = [one.ours for one in scores]
+    reference = [one.reference for one in scores if one.reference is not None]
+    verdicts = _shares([one.verdict for one in ours])
+    rows: list[Row] = []
+    for at, name in enumerate(PARAMETERS):
+        truth, off, low, high = _columns(ours, at)
+        best_off, widths = np.array([]), np.array([])
+        row: Row = {"label": label, "quantity": name, **verdicts}
+        row["intervals"] = int(np.isfinite(low).sum())
+        row["covered"] = figure(holds(low, high, truth))
+        row["reference_covered"] = None
+        if reference:
+            _, best_off, best_low, best_high = _columns(reference, at)
+            row["reference_covered"] = figure(holds(best_low, best_high, truth))
+            widths = (high - low) / (best_high - best_low)
+        # over the reference's
+        row |= {"width": figure(widths, np.median), "widest": figure(widths, np.max)}
+        rows.append({**row, **_spread(off), **_spread(best_off, "reference_")})
+    off, best = (np.array([one.path for one in some]) for some in (ours, reference))
+    row = {"label": label, "quantity": PATH, **verdicts}
+    rows.append({**row, **_spread(off), **_spread(best, "reference_")})
     for name in MOTION:
-        off = np.array([getattr(drop, name) for drop in drops])
-        verdicts = shares if name == "ours" else (None, None, None)
-        lines.append(_line("balls", label, name, off, verdicts))
-    return lines
+        off = np.array([one.motion[name] for one in scores if name in one.motion])
+        if len(off):
+            ahead = [one.verdict_ahead for one in scores if name == "ours" and one.verdict_ahead]
+            rows.append({"label": label, "quantity": name, **_shares(ahead), **_spread(off)})
+    return rows
 
 
-def filmed_lines(label: str, films: Sequence[FilmedBall]) -> list[RealLine]:
-    """Return a line for each parameter and the path, and one for a table ball's motion."""
-    lines = found_lines("films", label, [film.found for film in films])
-    if label in LIGHT:
-        return lines
-    off = np.array([film.ahead for film in films])
-    return [*lines, _line("films", label, "ours", off, (None, None, None))]
+def _columns(found: Sequence[Found], at: int) -> tuple[Array, Array, Array, Array]:
+    """Return a parameter's truth, error, and ends of the interval, shape (N,) each."""
+    truth = np.array([one.truth[at] for one in found])
+    values = np.array([one.values[at] for one in found])
+    low, high = np.array([one.interval95[at] for one in found]).reshape(-1, 2).T
+    return truth, values - truth, low, high
 
 
-def found_lines(
-    section: str, label: str, ours: Sequence[Found], reference: Sequence[Found] = ()
-) -> list[RealLine]:
-    """Return a line for each parameter and one for the path."""
-    shares = _verdicts([found.verdict for found in ours])
-    lines = [_parameter_line((section, label), at, ours, reference, shares) for at in range(3)]
-    off, best = (np.array([found.path for found in some]) for some in (ours, reference))
-    return [*lines, _line(section, label, PATH, off, shares, best)]
-
-
-def spread_of(errors: Array) -> Spread:
-    """Compute the statistics of errors, shape (N,); NaN where there is no answer."""
-    known = np.abs(errors[np.isfinite(errors)])
-    if not len(known):
-        return NONE
-    middle, high = np.percentile(known, [50, 99])
-    return Spread(float(known.mean()), float(middle), float(high), float(known.max()))
-
-
-def _parameter_line(
-    where: tuple[str, str],
-    at: int,
-    ours: Sequence[Found],
-    reference: Sequence[Found],
-    shares: Shares,
-) -> RealLine:
-    truth, values, ends = _columns(ours, at)
-    told = np.isfinite(ends[:, 0])
-    widths = np.array([])
-    covered, best = None, np.array([])
-    if reference:
-        _, best_values, best_ends = _columns(reference, at)
-        best, covered = best_values - truth, _mean(_holds(best_ends, truth))
-        widths = (np.ptp(ends, axis=1) / np.ptp(best_ends, axis=1))[told]
-    line = _line(*where, PARAMETERS[at], values - truth, shares, best)
-    return replace(
-        line,
-        intervals=int(told.sum()),
-        covered=_mean(_holds(ends, truth)[told]),
-        reference_covered=covered,
-        width=float(np.median(widths)) if len(widths) else None,
-        widest=float(widths.max()) if len(widths) else None,
-    )
-
-
-def _columns(found: Sequence[Found], at: int) -> tuple[Array, Array, Array]:
-    """Return truth and value, shape (N,), and interval, shape (N, 2), of a parameter."""
-    return (
-        np.array([one.truth[at] for one in found]),
-        np.array([one.values[at] for one in found]),
-        np.array([one.interval95[at] for one in found]).reshape(-1, 2),
-    )
-
-
-def _line(
-    section: str,
-    label: str,
-    quantity: str,
-    off: Array,
-    shares: Shares,
-    reference: Array | None = None,
-) -> RealLine:
-    answered = int(np.isfinite(off).sum())
-    best = NONE if reference is None else spread_of(reference)
-    return RealLine(section, label, quantity, len(off), answered, *shares, spread_of(off), best)
-
-
-def _verdicts(verdicts: Sequence[str]) -> Shares:
-    ok, suspect, rejected = (
-        _mean(np.array([one == name for one in verdicts])) for name in VERDICTS
-    )
-    return ok, suspect, rejected
-
-
-def _holds(ends: Array, truth: Array) -> NDArray[np.bool_]:
-    return (ends[:, 0] <= truth) & (truth <= ends[:, 1])
-
-
-def _mean(holds: NDArray[np.bool_]) -> float | None:
-    return float(holds.mean()) if len(holds) else None
-
-
-# ---- Run: the stranger's balls, those of the table, and videos.
-
-
-Asked = TypeVar("Asked")
-Result = TypeVar("Result")
-
-_PORTION = 5  # drops in a portion: few, so that the processes end together
-_TARGETS_A_TABLE_DROP = 50  # drops of a cell for each drop of a ball of the table from one height
-
-
-@dataclass(frozen=True)
-class RealOrder:
-    """Settings of the experiment."""
-
-    seeds: tuple[int, ...]  # each draws its own drops
-    targets: int  # drops of each cell for each seed; of balls of the table fewer in proportion
-    jobs: int | None = None  # processes; None for all cores
-
-    @property
-    def table_drops(self) -> int:
-        """Drops of a ball of the table for each height and seed."""
-        return max(1, self.targets // _TARGETS_A_TABLE_DROP)
-
-    @property
-    def portions(self) -> list[tuple[int, range]]:
-        """Targets of all seeds, in portions."""
-        return [
-            (seed, range(at, min(at + _PORTION, self.targets)))
-            for seed in self.seeds
-            for at in range(0, self.targets, _PORTION)
-        ]
-
-
-def position_lines(order: RealOrder, progress: Progress) -> list[RealLine]:
-    """Run the stranger's balls, cell by cell."""
-    asked = {
-        cell.label: [(CellPortion(cell, *one), len(one[1])) for one in order.portions]
-        for cell in CELLS
+def _spread(off: Array, prefix: str = "") -> Row:
+    """Return the statistics of errors, shape (N,); NaN where there is no answer."""
+    errors = np.abs(off)
+    spread = {
+        "mean": figure(errors),
+        "median": figure(errors, np.median),
+        "p99": figure(errors, lambda known: np.percentile(known, 99)),
+        "worst": figure(errors, np.max),
     }
-    return _lines(compared_drops, asked, compared_lines, order, progress)
+    counts = {} if prefix else {"drops": len(off), "answered": int(np.isfinite(off).sum())}
+    return {**counts, **{f"{prefix}{name}": value for name, value in spread.items()}}
 
 
-def ball_lines(order: RealOrder, progress: Progress) -> list[RealLine]:
-    """Run the table's balls."""
-    asked = {ball.name: _table(order, ball) for ball in TABLE_BALLS}
-    return _lines(moved_drops, asked, moved_lines, order, progress)
-
-
-def film_lines(order: RealOrder, progress: Progress) -> list[RealLine]:
-    """Run videos of the table's balls, and of light ones that are not named."""
-    asked = {ball.name: _table(order, ball) for ball in TABLE_BALLS}
-    lines = _lines(filmed_table, asked, filmed_lines, order, progress)
-    light = {
-        label: [((bool(slopes), *one), len(one[1])) for one in order.portions]
-        for slopes, label in enumerate(LIGHT)
-    }
-    return [*lines, *_lines(filmed_light, light, filmed_lines, order, progress)]
-
-
-def _table(order: RealOrder, ball: Asked) -> list[tuple[tuple[Asked, int, int], int]]:
-    count = order.table_drops
-    return [((ball, seed, count), count * len(HEIGHTS_M)) for seed in order.seeds]
-
-
-def _lines(
-    work: Callable[[Asked], list[Result]],
-    asked: dict[str, list[tuple[Asked, int]]],
-    lines: Callable[[str, Sequence[Result]], list[RealLine]],
-    order: RealOrder,
-    progress: Progress,
-) -> list[RealLine]:
-    """Return `lines` of each label, of what `work` makes of what is asked."""
-    pieces = [Piece(item, units, label) for label, some in asked.items() for item, units in some]
-    done = iter(parallel_map(work, pieces, order.jobs, progress, ("real balls", "drop")))
-    found: list[RealLine] = []
-    for label, some in asked.items():
-        found += lines(label, list(chain.from_iterable(next(done) for _ in some)))
-    return found
-
-
-# ---- JSON and CSV: one record a line and quantity.
-
-
-_SPREADS = ("ours", "reference")
-# Of the CSV: the errors without a prefix are ours.
-COLUMNS = (
-    *(field.name for field in fields(RealLine) if field.name not in _SPREADS),
-    *(field.name for field in fields(Spread)),
-    *(f"reference_{field.name}" for field in fields(Spread)),
-)
-
-
-def real_records(lines: Sequence[RealLine]) -> list[dict[str, Any]]:
-    """Return one record for each line; see `COLUMNS`."""
-    records: list[dict[str, Any]] = []
-    for line in lines:
-        record = asdict(line)
-        ours, reference = (record.pop(name) for name in _SPREADS)
-        named = {f"reference_{name}": value for name, value in reference.items()}
-        records.append({**record, **ours, **named})
-    return records
-
-
-def real_json(lines: Sequence[RealLine], order: RealOrder) -> str:
-    """Serialise every figure; null where there is none."""
-    head = {"experiment": "real-balls", "seeds": list(order.seeds), "targets": order.targets}
-    return json_text({**head, "rows": real_records(lines)})
-
-
-def real_csv(lines: Sequence[RealLine]) -> str:
-    """Format `real_records` as a table; an empty field where there is no figure."""
-    return csv_text(COLUMNS, real_records(lines))
+def _shares(verdicts: Sequence[str]) -> Row:
+    return {name: figure([one == name for one in verdicts]) for name in VERDICTS}
 
 
 # ---- Tables for a terminal.
 
 
-_FIRST = 17  # width of the labels [characters]
 _TITLES = {
     "positions": "the stranger's balls, positions",
     "balls": "balls of the table, positions",
@@ -680,57 +488,47 @@ _QUANTITIES = {
     "drag": "Drag, 1/m",
     PATH: "Tuned rollout against the true path, rms in % of the height",
 }
-_MOTION_HEADS = ("ours", "the paper's", "first rebound", "best airless")
-
-Column = tuple[str, int, Callable[[RealLine], str]]
-
-
-def _percent(fraction: float | None) -> str:
-    return "-" if fraction is None else f"{100 * fraction:.1f}"
-
-
-def _held(line: RealLine) -> str:
-    return "-" if line.covered is None else f"{_percent(line.covered)} ({line.intervals})"
-
-
-def _ratio(ratio: float | None) -> str:
-    return "-" if ratio is None else f"{ratio:.2f}"
-
-
-_REFERENCE: tuple[Column, ...] = (
-    ("fit: mean", 10, lambda line: short_or_dash(line.reference.mean)),
-    ("worst", 7, lambda line: short_or_dash(line.reference.worst)),
-    ("held", 6, lambda line: _percent(line.reference_covered)),
-    ("width", 6, lambda line: _ratio(line.width)),
-    ("most", 6, lambda line: _ratio(line.widest)),
+_ERRORS: Columns = (
+    ("", lambda row: row["label"]),
+    ("drops", lambda row: str(row["drops"])),
+    ("ok", lambda row: percent(row["ok"])),
+    ("suspect", lambda row: percent(row["suspect"])),
+    ("mean", lambda row: short(row["mean"])),
+    ("worst", lambda row: short(row["worst"])),
+    (
+        "held",
+        lambda row: (
+            "-" if row["covered"] is None else f"{percent(row['covered'])} ({row['intervals']})"
+        ),
+    ),
 )
-_ERRORS: tuple[Column, ...] = (
-    ("drops", 6, lambda line: str(line.drops)),
-    ("ok", 7, lambda line: _percent(line.ok)),
-    ("suspect", 8, lambda line: _percent(line.suspect)),
-    ("mean", 7, lambda line: short_or_dash(line.ours.mean)),
-    ("worst", 7, lambda line: short_or_dash(line.ours.worst)),
-    ("held", 12, _held),
+_REFERENCE: Columns = (
+    ("fit: mean", lambda row: short(row["reference_mean"])),
+    ("worst", lambda row: short(row["reference_worst"])),
+    ("held", lambda row: percent(row["reference_covered"])),
+    ("width", lambda row: decimals(row["width"], 2)),
+    ("most", lambda row: decimals(row["widest"], 2)),
 )
-_PATHS: tuple[Column, ...] = (
-    ("answered", 9, lambda line: str(line.answered)),
-    ("mean", 7, lambda line: _of_height(line.ours.mean)),
-    ("median", 7, lambda line: _of_height(line.ours.median)),
-    ("99th", 7, lambda line: _of_height(line.ours.p99)),
-    ("worst", 7, lambda line: _of_height(line.ours.worst)),
+_PATHS: Columns = (
+    ("", lambda row: row["label"]),
+    ("answered", lambda row: str(row["answered"])),
+    ("mean", lambda row: _of_height(row["mean"])),
+    ("median", lambda row: _of_height(row["median"])),
+    ("99th", lambda row: _of_height(row["p99"])),
+    ("worst", lambda row: _of_height(row["worst"])),
 )
-_REFERENCE_PATHS: tuple[Column, ...] = (
-    ("fit: median", 12, lambda line: _of_height(line.reference.median)),
-    ("99th", 7, lambda line: _of_height(line.reference.p99)),
-    ("worst", 7, lambda line: _of_height(line.reference.worst)),
+_REFERENCE_PATHS: Columns = (
+    ("fit: median", lambda row: _of_height(row["reference_median"])),
+    ("99th", lambda row: _of_height(row["reference_p99"])),
+    ("worst", lambda row: _of_height(row["reference_worst"])),
 )
 
 
-def protocol(order: RealOrder) -> str:
+def protocol(order: Order, table_drops: int) -> str:
     """Describe what is measured, and how."""
     return (
-        f"Balls in air whose restitution falls with speed; {seeds_in_words(order.seeds)}, "
-        f"{order.targets} drops a cell each,\n{order.table_drops} of each ball of the table from "
+        f"Balls in air whose restitution falls with speed; {order.seeds_in_words}, "
+        f"{order.targets} drops a cell each,\n{table_drops} of each ball of the table from "
         "each height.\n"
         "x .5, 1, 2: what slope and drag of the stranger's balls are multiplied by. fit: least "
         "squares that\nknow the model and the ranges; width, most: median and largest ratio of an "
@@ -739,56 +537,47 @@ def protocol(order: RealOrder) -> str:
     )
 
 
-def section_blocks(section: str, lines: Sequence[RealLine]) -> Iterator[str]:
-    """Yield a table for each quantity of a section."""
+def section_tables(section: str, rows: Sequence[Row]) -> Iterator[str]:
+    """Yield a table for each quantity of a section, and one for the foretold motions."""
     reference = section == "positions"
-    for quantity in (*PARAMETERS, PATH):
+    for quantity, words in _QUANTITIES.items():
         if quantity == PATH:
             columns = (*_PATHS, *(_REFERENCE_PATHS if reference else ()))
         else:
             columns = (*_ERRORS, *(_REFERENCE if reference else ()))
-        title = f"{_QUANTITIES[quantity]}: {_TITLES[section]}"
-        rows = [line for line in lines if line.quantity == quantity]
-        yield "\n".join([title, *_table_lines(columns, rows)])
-    if section != "positions":
-        yield motion_table(section, lines)
-
-
-def motion_table(section: str, lines: Sequence[RealLine]) -> str:
-    """Tabulate the predicted motion by each tuning."""
-    names = MOTION if section == "balls" else MOTION[:1]
-    heads = _MOTION_HEADS[: len(names)]
-    widths = (_FIRST, 10, *[18] * len(names))
-    text = [
-        f"Motion error up to the last bounce in view: {_TITLES[section]}",
-        "(mean, worst in % of the height; ours and best airless tuned on the first 60 % of the",
+        own = [row for row in rows if row["quantity"] == quantity]
+        yield table(shown(columns, own), f"{words}: {_TITLES[section]}")
+    if reference:
+        return
+    heads = {"ours": "ours"}
+    if section == "balls":
+        heads |= dict(
+            zip(MOTION[1:], ("the paper's", "first rebound", "best airless"), strict=True)
+        )
+    by_label: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        if row["quantity"] in MOTION:
+            by_label.setdefault(row["label"], {})[row["quantity"]] = row
+    yield table(
+        [
+            ["", "answered", *heads.values()],
+            *(
+                [
+                    label,
+                    f"{own['ours']['answered']} of {own['ours']['drops']}",
+                    *(
+                        f"{_of_height(own[q]['mean'])}, {_of_height(own[q]['worst'])}"
+                        for q in heads
+                    ),
+                ]
+                for label, own in by_label.items()
+            ),
+        ],
+        f"Motion error up to the last bounce in view: {_TITLES[section]}\n"
+        "(mean, worst in % of the height; ours and best airless tuned on the first 60 % of the\n"
         "time, the paper's on 7 s at 60 Hz)",
-        table_line(["", "answered", *heads], widths),
-    ]
-    known = [line for line in lines if line.quantity in MOTION]
-    for label in dict.fromkeys(line.label for line in known):
-        own = {line.quantity: line for line in known if line.label == label}
-        first = own["ours"]
-        cells = [_pair(own[name].ours) for name in names]
-        text.append(table_line([label, f"{first.answered} of {first.drops}", *cells], widths))
-    return "\n".join(text)
-
-
-def _table_lines(columns: Sequence[Column], rows: Sequence[RealLine]) -> list[str]:
-    widths = [_FIRST, *(width for _, width, _ in columns)]
-    head = table_line(["", *(name for name, _, _ in columns)], widths)
-    return [
-        head,
-        *(table_line([row.label, *(show(row) for _, _, show in columns)], widths) for row in rows),
-    ]
+    )
 
 
 def _of_height(fraction: float | None) -> str:
-    if fraction is None:
-        return "-"
-    percent = 100 * fraction
-    return f"{percent:.1f}" if percent >= 10 else f"{percent:.3f}"
-
-
-def _pair(errors: Spread) -> str:
-    return f"{_of_height(errors.mean)}, {_of_height(errors.worst)}"
+    return percent(fraction, 1 if fraction is not None and fraction >= 0.1 else 3)

@@ -13,12 +13,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from tunenet_logs.analysis.evaluation.studies.drop import (
-    PANELS,
-    ErrorCurve,
-    drop_markdown,
-    error_curves,
-)
+from tunenet_logs.analysis.evaluation.studies.curves import PANELS, ErrorCurve, error_curves
 from tunenet_logs.analysis.evaluation.studies.drop_methods import DropResults
 from tunenet_logs.analysis.review.drawing import entity_of, log_words, written
 
@@ -27,8 +22,8 @@ ROLLOUTS = "rollouts"  # its timeline: what a method has been allowed so far
 _LEGEND_ROOM = 1.5
 
 
-def write_convergence(results: DropResults, path: Path) -> None:
-    """Write the recording of an experiment to `path` (.rrd).
+def write_convergence(results: DropResults, markdown: str, path: Path) -> None:
+    """Write the recording of an experiment, with its tables, to `path` (.rrd).
 
     Raises:
         OSError: `path` cannot be written.
@@ -46,7 +41,7 @@ def write_convergence(results: DropResults, path: Path) -> None:
                 _log_curve(stream, panel, curve)
             if curves:
                 views.append(_view(panel, curves))
-        log_words(stream, "results", drop_markdown(results))
+        log_words(stream, "results", markdown)
         stream.send_blueprint(_blueprint(views))
 
 

@@ -8,23 +8,22 @@ may be missing.
 from __future__ import annotations
 
 import io
-import math
 import re
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from tunenet_logs.analysis.evaluation.study import csv_text, json_text, seeds_in_words, table_line
+from tunenet_logs.analysis.evaluation.study import Order, Part, Row, figure, scored, table
 from tunenet_logs.analysis.evaluation.worlds.machines import MACHINES, HeldCommands, ModelLog
 from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.analysis.parallel import Piece, parallel_map
+from tunenet_logs.analysis.parallel import Piece
 from tunenet_logs.analysis.sysid.experiment import ROLLOUTS, SimulatorExperiment
 from tunenet_logs.analysis.sysid.fit import SimulatorFit
 from tunenet_logs.analysis.sysid.source import ModelSource
@@ -369,64 +368,34 @@ def _put(spec: Any, kind: str, name: str, field: str, value: float) -> None:
 # ---- One log: tuned by ours, by the toolbox, and by the network's first step.
 
 
-Section = Literal["tuned", "untold", "wrong", "toolbox", "network"]
-
-
 @dataclass(frozen=True)
 class MachineTrial:
     """Log to be tuned."""
 
-    section: Section  # what is asked of it
+    section: str  # what is asked of it
     machine: int  # its number in `MACHINES`
     seed: int  # of it
     noise: float = 1.0  # times the usual one
 
 
-@dataclass(frozen=True)
-class FoundValue:
-    """Estimate of one parameter."""
-
-    address: str  # which
-    truth: float  # of the machine; NaN where the model is another's
-    value: float  # NaN where none was given
-    low: float  # end of the 95 % interval; NaN without one
-    high: float  # likewise
-    range: float  # that it was looked for in, its width
-    is_told: bool = True  # whether the result reports it as identifiable
-    can_be_told: bool = True  # whether it is identifiable
-
-    @property
-    def is_covered(self) -> bool:
-        """Whether the interval holds the truth."""
-        return self.low <= self.truth <= self.high
-
-
-@dataclass(frozen=True)
-class SysidOutcome:
-    """Result for one log."""
-
-    trial: MachineTrial  # which
-    what: str  # of several models of one log
-    verdict: str  # "" of the toolbox, which gives none
-    found: tuple[FoundValue, ...]  # by parameter
-    rollouts: int  # simulated in all
-    seconds: float  # of the processor
-
-
-def outcomes_of(trial: MachineTrial) -> list[SysidOutcome]:
-    """Run a trial."""
+def rows_of(trial: MachineTrial) -> list[Row]:
+    """Run a trial: a row for each model and parameter, or one alone where none was found."""
     machine = MACHINES[trial.machine]
     if trial.section == "untold":
-        return [_tuned(trial, machine.unidentifiable(trial.seed, trial.noise))]
+        return _tuned(trial, machine.unidentifiable(trial.seed, trial.noise))
     log = machine.log(trial.seed, trial.noise)
     if trial.section == "tuned":
-        return [_tuned(trial, log)]
+        return _tuned(trial, log)
     if trial.section == "toolbox":
-        return [_by_toolbox(trial, log)]
+        return _by_toolbox(trial, log)
     if trial.section == "network":
-        return [_first_steps(trial, log)]
+        return _first_steps(trial, log)
     models = machine.wrong(log)
-    return [_tuned(trial, replace(log, model=model), what) for what, model in models.items()]
+    return [
+        row
+        for what, model in models.items()
+        for row in _tuned(trial, replace(log, model=model), what)
+    ]
 
 
 def _source(log: ModelLog, folder: str) -> ModelSource:
@@ -435,46 +404,72 @@ def _source(log: ModelLog, folder: str) -> ModelSource:
     return ModelSource(path, log.tune)
 
 
-def _tuned(trial: MachineTrial, log: ModelLog, what: str = "") -> SysidOutcome:
+def _rows(
+    trial: MachineTrial,
+    found: Sequence[Row],
+    verdict: str,
+    rollouts: int,
+    seconds: float,
+    what: str,
+) -> list[Row]:
+    """Say of each estimate what it is of; `seconds` are the processor's."""
+    log = {
+        "section": trial.section,
+        "machine": MACHINES[trial.machine].name,
+        "seed": trial.seed,
+        "noise": trial.noise,
+        "what": what,  # of several models of one log
+        "verdict": verdict,  # "" of the toolbox, which gives none
+        "rollouts": rollouts,
+        "seconds": round(seconds, 2),
+    }
+    return [{**log, **one} for one in found] or [log]
+
+
+def _tuned(trial: MachineTrial, log: ModelLog, what: str = "") -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         began_s = time.process_time()
         tuning = tune_episode(log.episode, TuneOptions(source=_source(log, folder)))
         seconds = time.process_time() - began_s
-    found: list[FoundValue] = []
+    found: list[Row] = []
     if tuning.trace is not None and tuning.trace.fit is not None:
         fit: SimulatorFit = tuning.trace.fit.detail
         unidentifiable = {one.name for one in fit.unidentifiable}
         for one, value, ends in zip(
             tuning.parameters, tuning.trace.estimate, tuning.trace.fit.interval95, strict=True
         ):
-            low, high = one.training_range
+            truth = np.nan if what else log.truth[one.name]  # another machine's model has none
             found.append(
-                FoundValue(
-                    one.name,
-                    np.nan if what else log.truth[one.name],
-                    float(value),
-                    *map(float, ends),
-                    range=high - low,
-                    is_told=one.name not in unidentifiable,
-                    can_be_told=one.name not in log.unidentifiable,
-                )
+                {
+                    **_estimate(one.name, truth, value, *ends),
+                    "range": float(np.ptp(one.training_range)),
+                    "is_told": one.name not in unidentifiable,  # reported as identifiable
+                    "can_be_told": one.name not in log.unidentifiable,
+                }
             )
-    return SysidOutcome(trial, what, tuning.verdict, tuple(found), tuning.rollouts, seconds)
+    return _rows(trial, found, tuning.verdict, tuning.rollouts, seconds, what)
 
 
-def _by_toolbox(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
+def _estimate(
+    address: str, truth: float, value: float, low: float = np.nan, high: float = np.nan
+) -> Row:
+    numbers = {"truth": truth, "value": value, "low": low, "high": high}
+    return {"address": address, **{name: float(number) for name, number in numbers.items()}}
+
+
+def _by_toolbox(trial: MachineTrial, log: ModelLog) -> list[Row]:
     answer = toolbox_answer(log, tunes_start=True)
-    found = tuple(
-        FoundValue(address, truth, answer.values[address], *answer.intervals[address], np.nan)
+    found = [
+        _estimate(address, truth, answer.values[address], *answer.intervals[address])
         for address, truth in log.truth.items()
-    )
-    return SysidOutcome(trial, "", "", found, answer.rollouts, answer.seconds)
+    ]
+    return _rows(trial, found, "", answer.rollouts, answer.seconds, "")
 
 
 _STARTS = 20  # random places in the ranges from which the network makes its first step
 
 
-def _first_steps(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
+def _first_steps(trial: MachineTrial, log: ModelLog) -> list[Row]:
     """Take one step of the network from each of many random starts: a row a start and value."""
     from tunenet_logs.analysis.estimators.methods import next_values
 
@@ -488,43 +483,19 @@ def _first_steps(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
         model = problem.train()
         seconds = time.process_time() - began_s
     rng = np.random.default_rng((trial.seed, 77))
-    found: list[FoundValue] = []
+    found: list[Row] = []
     for _ in range(_STARTS):
         start = np.array([rng.uniform(*one.training_range) for one in parameters])
         seen = problem.evaluate(start).observation.values
         stepped = next_values(model, problem, start, seen)
-        for one, value in zip(parameters, stepped, strict=True):
-            low, high = one.training_range
-            row = (one.name, log.truth[one.name], float(value), np.nan, np.nan, high - low)
-            found.append(FoundValue(*row))
-    return SysidOutcome(trial, "", "", tuple(found), ROLLOUTS, seconds)
-
-
-def trials(
-    sections: Sequence[str], seeds: Sequence[int], logs: int, noises: Sequence[float]
-) -> list[MachineTrial]:
-    """List all trials.
-
-    Args:
-        sections: which.
-        seeds: each with its own logs.
-        logs: for each seed, machine and section; a fifth of them where the noise is another than
-            the usual one, a twentieth for the network.
-        noises: times the usual one, of the section "tuned".
-    """
-    found: list[MachineTrial] = []
-    for machine in range(len(MACHINES)):
-        for seed in seeds:
-            own = range(seed * 1_000_000, seed * 1_000_000 + logs)
-            fewer, few = own[: max(1, logs // 5)], own[: max(1, logs // 20)]
-            for section in ("tuned", "untold", "wrong", "toolbox", "network"):
-                if section not in sections:
-                    continue
-                for noise in noises if section == "tuned" else (1.0,):
-                    chosen = own if noise == 1.0 else fewer
-                    chosen = few if section == "network" else chosen
-                    found += [MachineTrial(section, machine, one, noise) for one in chosen]
-    return found
+        found += [
+            {
+                **_estimate(one.name, log.truth[one.name], value),
+                "range": float(np.ptp(one.training_range)),
+            }
+            for one, value in zip(parameters, stepped, strict=True)
+        ]
+    return _rows(trial, found, "", ROLLOUTS, seconds, "")
 
 
 # ---- Run: section by section.
@@ -533,80 +504,36 @@ def trials(
 NOISES = (1.0, 0.5, 2.0)  # times the noise that the logs usually have
 
 
-@dataclass(frozen=True)
-class SysidOrder:
-    """Settings of the experiment."""
-
-    seeds: Sequence[int]  # each with its own logs
-    logs: int  # for each seed, machine and section; see `trials`
-    sections: Sequence[str]  # of `study.SYSID_SECTIONS`
-    jobs: int | None = None  # processes; None for all cores
-
-
-def sysid_sections(
-    order: SysidOrder, progress: Progress
-) -> Iterator[tuple[str, list[SysidOutcome]]]:
-    """Yield all results section by section."""
+def run(order: Order, progress: Progress) -> Iterator[Part]:
+    """Run the trials of each section."""
     for section in order.sections:
-        wanted = trials([section], order.seeds, order.logs, NOISES)
-        pieces = [Piece(trial, name=_name(trial)) for trial in wanted]
-        found = parallel_map(outcomes_of, pieces, order.jobs, progress, (section, "log"))
-        yield section, [one for some in found for one in some]
+        cases = [
+            Piece(trial, name=f"{MACHINES[trial.machine].name} {trial.seed}")
+            for trial in trials(section, order.seeds, order.targets)
+        ]
+        rows = scored(rows_of, {section: cases}, order, progress, (section, "log"))[section]
+        what = f"{order.seeds_in_words}, {order.targets} logs a machine"
+        yield Part(section, sysid_table(section, rows, f"{_HEADS[section]} {what}."), rows)
 
 
-def _name(trial: MachineTrial) -> str:
-    return f"{MACHINES[trial.machine].name} {trial.seed}"
+def trials(section: str, seeds: Sequence[int], logs: int) -> list[MachineTrial]:
+    """List the trials of a section, so many logs for each seed and machine.
 
-
-# ---- JSON and CSV: one row for each log and parameter.
-
-
-# Of the CSV.
-COLUMNS = (
-    *("section", "machine", "seed", "noise", "what", "verdict", "rollouts", "seconds"),
-    *("address", "truth", "value", "low", "high", "range", "is_told", "can_be_told"),
-)
-
-
-def sysid_json(outcomes: Sequence[SysidOutcome], order: SysidOrder) -> str:
-    """Serialise every log and parameter."""
-    head = {"experiment": "sysid", "seeds": list(order.seeds), "logs": order.logs}
-    return json_text({**head, "rows": list(_rows(outcomes))})
-
-
-def sysid_csv(outcomes: Sequence[SysidOutcome]) -> str:
-    """Format every log and parameter as a table."""
-    return csv_text(COLUMNS, _rows(outcomes))
-
-
-def _rows(outcomes: Sequence[SysidOutcome]) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = []
-    for one in outcomes:
-        head = {
-            "section": one.trial.section,
-            "machine": MACHINES[one.trial.machine].name,
-            "seed": one.trial.seed,
-            "noise": one.trial.noise,
-            "what": one.what,
-            "verdict": one.verdict,
-            "rollouts": one.rollouts,
-            "seconds": round(one.seconds, 2),
-        }
-        for found in one.found:
-            figures = {
-                name: None if isinstance(value, float) and not math.isfinite(value) else value
-                for name, value in asdict(found).items()
-            }
-            rows.append({**head, **figures})
-        if not one.found:
-            rows.append(head)
-    return rows
+    Of logs with another noise than the usual one there are a fifth, for the network a twentieth.
+    """
+    found: list[MachineTrial] = []
+    for machine in range(len(MACHINES)):
+        for seed in seeds:
+            own = range(seed * 1_000_000, seed * 1_000_000 + logs)
+            for noise in NOISES if section == "tuned" else (1.0,):
+                share = 20 if section == "network" else 1 if noise == 1.0 else 5
+                chosen = own[: max(1, logs // share)]
+                found += [MachineTrial(section, machine, one, noise) for one in chosen]
+    return found
 
 
 # ---- Tables for a terminal.
 
-
-_WIDTHS = (10, 7, 26, 6, 10, 9, 10, 9, 10, 0)
 
 _HEADS = {
     "tuned": "Tuned by the default method: logs of machines that SciPy integrates.",
@@ -617,82 +544,45 @@ _HEADS = {
 }
 
 
-def sysid_table(section: str, outcomes: Sequence[SysidOutcome], order: SysidOrder) -> str:
-    """Tabulate one section."""
-    what = f"{seeds_in_words(order.seeds)}, {order.logs} logs a machine"
-    head = f"{section}: {_HEADS[section]} {what}."
-    makers = {"wrong": _wrong, "untold": _unidentifiable, "network": _network}
-    return "\n".join([head, *makers.get(section, _errors)(outcomes)])
-
-
-def groups(
-    outcomes: Sequence[SysidOutcome],
-) -> Iterable[tuple[str, float, str, list[SysidOutcome], list[FoundValue]]]:
-    """Yield machine, noise, address, the logs, and each log's estimate of the parameter."""
-    keys = dict.fromkeys(
-        (one.trial.machine, one.trial.noise, found.address)
-        for one in outcomes
-        for found in one.found
-    )
-    for machine, noise, address in keys:
-        logs = [one for one in outcomes if (one.trial.machine, one.trial.noise) == (machine, noise)]
-        found = [each for one in logs for each in one.found if each.address == address]
-        yield MACHINES[machine].name, noise, address, logs, found
-
-
-def errors_of(found: Sequence[FoundValue]) -> np.ndarray:
-    """Return absolute errors, shape (N,)."""
-    return np.array([abs(one.value - one.truth) for one in found])
-
-
-def _errors(outcomes: Sequence[SysidOutcome]) -> list[str]:
-    names = ("machine", "noise", "parameter", "logs", "median", "of truth", "worst", "covered")
-    lines = [table_line((*names, "rollouts", "s"), _WIDTHS)]
-    for machine, noise, address, logs, found in groups(outcomes):
-        errors = errors_of(found)
-        shares = errors / np.abs([one.truth for one in found])
-        covered = 100 * np.mean([one.is_covered for one in found])
-        cells = [machine, f"{noise:g}", address, str(len(found)), f"{np.median(errors):.2g}"]
-        cells += [f"{100 * np.median(shares):.2f} %", f"{errors.max():.2g}", f"{covered:.1f} %"]
-        cells += [f"{np.median([one.rollouts for one in logs]):.0f}"]
-        lines.append(
-            table_line((*cells, f"{np.median([one.seconds for one in logs]):.1f}"), _WIDTHS)
-        )
-    return lines
-
-
-def _unidentifiable(outcomes: Sequence[SysidOutcome]) -> list[str]:
-    lines = [
-        table_line(("machine", "", "parameter", "logs", "cannot be told", "", "said so"), _WIDTHS)
-    ]
-    for machine, _, address, _, found in groups(outcomes):
-        said = 100 * np.mean([not one.is_told for one in found])
-        cannot = "no" if found[0].can_be_told else "yes"
-        cells = (machine, "", address, str(len(found)), cannot, "", f"{said:.1f} %")
-        lines.append(table_line(cells, _WIDTHS))
-    return lines
-
-
-def _wrong(outcomes: Sequence[SysidOutcome]) -> list[str]:
-    widths = (10, 34, 7, 5, 9, 0)
-    lines = [table_line(("machine", "model", "tries", "ok", "suspect", "rejected"), widths)]
-    for machine, what in dict.fromkeys((one.trial.machine, one.what) for one in outcomes):
-        mine = [one for one in outcomes if (one.trial.machine, one.what) == (machine, what)]
-        counts = [
-            sum(one.verdict == name for one in mine) for name in ("ok", "suspect", "rejected")
-        ]
-        cells = (MACHINES[machine].name, what, str(len(mine)), *map(str, counts))
-        lines.append(table_line(cells, widths))
-    return lines
-
-
-def _network(outcomes: Sequence[SysidOutcome]) -> list[str]:
-    lines = [
-        table_line(("machine", "", "parameter", "logs", "median", "", "of the range"), _WIDTHS)
-    ]
-    for machine, _, address, logs, found in groups(outcomes):
-        errors = errors_of(found)
-        share = 100 * np.median(errors) / found[0].range
-        cells = (machine, "", address, str(len(logs)), f"{np.median(errors):.2g}", "")
-        lines.append(table_line((*cells, f"{share:.2f} %"), _WIDTHS))
-    return lines
+def sysid_table(section: str, rows: Sequence[Row], head: str) -> str:
+    """Tabulate one section: a line for each machine, noise and parameter, or for each model."""
+    lines: list[list[str]] = []
+    if section == "wrong":
+        lines.append(["machine", "model", "tries", "ok", "suspect", "rejected"])
+        # a model has a row for each of its parameters
+        tries = {(row["machine"], row["what"], row["seed"]): row["verdict"] for row in rows}
+        for machine, what in dict.fromkeys((machine, what) for machine, what, _ in tries):
+            mine = [one for key, one in tries.items() if key[:2] == (machine, what)]
+            counts = [str(mine.count(name)) for name in ("ok", "suspect", "rejected")]
+            lines.append([machine, what, str(len(mine)), *counts])
+        return table(lines, f"{section}: {head}")
+    heads = {
+        "untold": ["machine", "parameter", "logs", "cannot be told", "said so"],
+        "network": ["machine", "parameter", "logs", "median", "of the range"],
+    }
+    errors_heads = ["machine", "noise", "parameter", "logs", "median", "of truth", "worst"]
+    lines.append(heads.get(section, [*errors_heads, "covered", "rollouts", "s"]))
+    groups: dict[tuple[str, float, str], list[Row]] = {}
+    for row in rows:
+        if "address" in row:
+            groups.setdefault((row["machine"], row["noise"], row["address"]), []).append(row)
+    for (machine, noise, address), own in groups.items():
+        errors = np.array([abs(row["value"] - row["truth"]) for row in own])
+        if section == "untold":
+            cells = ["no" if own[0]["can_be_told"] else "yes"]
+            cells.append(f"{100 * np.mean([not row['is_told'] for row in own]):.1f} %")
+            lines.append([machine, address, str(len(own)), *cells])
+        elif section == "network":
+            logs = len({row["seed"] for row in own})
+            share = 100 * np.median(errors) / own[0]["range"]
+            cells = [str(logs), f"{np.median(errors):.2g}", f"{share:.2f} %"]
+            lines.append([machine, address, *cells])
+        else:
+            shares = errors / np.abs([row["truth"] for row in own])
+            covered = [row["low"] <= row["truth"] <= row["high"] for row in own]
+            cells = [str(len(own)), f"{np.median(errors):.2g}", f"{100 * np.median(shares):.2f} %"]
+            cells += [f"{errors.max():.2g}", f"{100 * np.mean(covered):.1f} %"]
+            cells.append(f"{figure([row['rollouts'] for row in own], np.median):.0f}")
+            cells.append(f"{figure([row['seconds'] for row in own], np.median):.1f}")
+            lines.append([machine, f"{noise:g}", address, *cells])
+    return table(lines, f"{section}: {head}")

@@ -8,25 +8,37 @@ one colour on half of its way, by 20 on nearly all of it: or a person could not 
 
 from __future__ import annotations
 
+import math
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
-from functools import partial
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tunenet_logs.analysis.drop.bounce_model import (
+    IDEAL,
+    PERSPECTIVE,
+    PERSPECTIVE_SD,
+    BounceSamples,
+)
 from tunenet_logs.analysis.drop.detection import FilmDetection
 from tunenet_logs.analysis.drop.experiments import DropFromFilm
 from tunenet_logs.analysis.evaluation.study import (
-    csv_text,
-    json_text,
-    seeds_in_words,
+    STUDIES,
+    Columns,
+    Order,
+    Part,
+    Row,
+    decimals,
+    figure,
+    holds,
+    listed,
+    percent,
+    scored,
     short,
-    short_or_dash,
-    table_line,
+    shown,
+    table,
 )
 from tunenet_logs.analysis.evaluation.worlds.camera import (
     FAULT_BALLS,
@@ -40,9 +52,11 @@ from tunenet_logs.analysis.evaluation.worlds.camera import (
     WIDE,
     B,
     BallRanges,
+    TrackScene,
     TrackSet,
     draw_scene,
     film,
+    upright,
 )
 from tunenet_logs.analysis.evaluation.worlds.clips import (
     VERSIONS,
@@ -54,99 +68,68 @@ from tunenet_logs.analysis.evaluation.worlds.clips import (
 )
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.analysis.parallel import Piece, parallel_map
+from tunenet_logs.analysis.parallel import Piece
 from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.analysis.tuning import Stopwatch, tune_detected, tune_log
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulators.known import BALLS
 from tunenet_logs.terminal import Progress
 
-Result = TypeVar("Result")
+# ---- Clips: rendered, written, read and tuned.
+
 
 COUNT = 100  # clips of a full run, as filmed
 TRANSFORMED = 30  # likewise, in all `VERSIONS`
 
 
-@dataclass(frozen=True)
-class ClipResult:
-    """Result for one clip."""
-
-    seed: int
-    index: int
-    truth: float  # restitution that was drawn
-    estimate: float | None  # None where it was rejected
-    interval: tuple[float, float] | None  # 95 %; None where there is none
-    verdict: str  # "ok", "suspect" or "rejected"
-    reason: str | None  # why it is not "ok"
-    # rms distance of the tracked centres from the true ones, from the release on; None where there
-    # is no track
-    off_px: float | None
-    found: float  # fraction of the frames from the release on in which the ball was found
-    seconds: float  # the time that reading and tuning took
-    length_s: float  # of the clip
-
-
-@dataclass(frozen=True)
-class TransformedClip:
-    """Results for one clip and its versions, in the order of `VERSIONS`."""
-
-    seed: int
-    index: int
-    truth: float  # restitution that was drawn
-    estimates: tuple[float | None, ...]  # None where a version was rejected
-
-    @property
-    def answered(self) -> int:
-        """Number of versions that were answered."""
-        return sum(estimate is not None for estimate in self.estimates)
-
-    @property
-    def spread(self) -> float | None:
-        """Largest less smallest estimate; None where fewer than two were answered."""
-        known = [estimate for estimate in self.estimates if estimate is not None]
-        return max(known) - min(known) if len(known) > 1 else None
-
-
-def clip_results(
-    seed: int, count: int, jobs: int | None, progress: Progress
-) -> tuple[ClipResult, ...]:
-    """Render, write, read and tune `count` clips, in `jobs` processes (default: all cores)."""
-    return tuple(_spread(clip_result, seed, count, jobs, progress))
-
-
-def transformed_results(
-    seed: int, count: int, jobs: int | None, progress: Progress
-) -> tuple[TransformedClip, ...]:
-    """Tune the first `count` clips of a seed, each in all `VERSIONS`."""
-    return tuple(_spread(transformed_result, seed, count, jobs, progress))
-
-
-def clip_result(seed: int, index: int) -> ClipResult:
-    """Tune one clip."""
-    order = draw_clip(seed, index)
+def clip_row(case: tuple[int, int]) -> list[Row]:
+    """Tune the clip of a seed and an index."""
+    order = _drawn(*case)
     with tempfile.TemporaryDirectory() as folder:
         tuning = tune_log(write_clip(order, Path(folder)), TuneOptions())
+    off_px, found = None, 0.0
+    if tuning.detection is not None:
+        off = track_errors_px(order, tuning.detection.film.track)
+        off_px = float(np.sqrt(np.nanmean((off**2).sum(axis=1))))
+        found = min(np.isfinite(off[:, 0]).sum() / int(order.length_s * order.rate_hz), 1.0)
     ends = tuning.interval95
-    off_px, found = _tracked(order, tuning)
-    return ClipResult(
-        seed=seed,
-        index=index,
-        truth=order.ball.restitution,
-        estimate=_value(tuning),
-        interval=None if ends is None else (float(ends[0, 0]), float(ends[0, 1])),
-        verdict=tuning.verdict,
-        reason=tuning.reason,
-        off_px=off_px,
-        found=found,
-        seconds=tuning.seconds["total"],
-        length_s=order.held_s + order.length_s,
-    )
+    row = {
+        "seed": case[0],
+        "index": case[1],
+        "truth": order.ball.restitution,
+        "estimate": _value(tuning),
+        "interval": None if ends is None else ends[0].tolist(),  # 95 %
+        "verdict": tuning.verdict,
+        "reason": tuning.reason,
+        # rms distance of the tracked centres from the true ones, from the release on
+        "off_px": off_px,
+        "found": float(found),  # fraction of the frames from the release on that have the ball
+        "seconds": tuning.seconds["total"],  # that reading and tuning took
+        "length_s": order.held_s + order.length_s,
+    }
+    return [row]
 
 
-def transformed_result(seed: int, index: int) -> TransformedClip:
-    """Tune one clip in all versions."""
-    order = draw_clip(seed, index)
-    return TransformedClip(seed, index, order.ball.restitution, version_estimates(order))
+def transformed_row(case: tuple[int, int]) -> list[Row]:
+    """Tune the clip of a seed and an index in all versions."""
+    order = _drawn(*case)
+    estimates = version_estimates(order)
+    known = [one for one in estimates if one is not None]
+    row = {
+        "seed": case[0],
+        "index": case[1],
+        "truth": order.ball.restitution,
+        "estimates": list(estimates),  # in the order of `VERSIONS`; None where it was rejected
+        "spread": max(known) - min(known) if len(known) > 1 else None,
+    }
+    return [row]
+
+
+def _drawn(seed: int, index: int) -> ClipOrder:
+    import cv2
+
+    cv2.setNumThreads(1)  # there is a process for each core
+    return draw_clip(seed, index)
 
 
 def version_estimates(order: ClipOrder) -> tuple[float | None, ...]:
@@ -165,90 +148,8 @@ def track_errors_px(order: ClipOrder, track: Track) -> Array:
     return off
 
 
-def _tracked(order: ClipOrder, tuning: Tuning) -> tuple[float | None, float]:
-    if tuning.detection is None:
-        return None, 0.0
-    off = track_errors_px(order, tuning.detection.film.track)
-    seen = np.isfinite(off[:, 0])
-    after = int(order.length_s * order.rate_hz)
-    return float(np.sqrt(np.nanmean((off**2).sum(axis=1)))), float(min(seen.sum() / after, 1.0))
-
-
 def _value(tuning: Tuning) -> float | None:
     return None if tuning.estimate is None else float(tuning.estimate[0])
-
-
-def _spread(
-    work: Callable[[int, int], Result],
-    seed: int,
-    count: int,
-    jobs: int | None,
-    progress: Progress,
-) -> list[Result]:
-    """Run `work` on every clip, in their order."""
-    pieces = [Piece((seed, index), 1, f"clip {index}") for index in range(count)]
-    return parallel_map(partial(_alone, work), pieces, jobs, progress, ("filming", "clip"))
-
-
-def _alone(work: Callable[[int, int], Result], which: tuple[int, int]) -> Result:
-    """Run `work` in one thread: there is a process for each core."""
-    import cv2
-
-    cv2.setNumThreads(1)
-    return work(*which)
-
-
-# ---- Tables of clips for a terminal.
-
-
-_WIDTHS = (10, 10, 9, 10, 10, 10, 10, 12, 12)  # of the columns [characters]
-
-
-def clip_table(results: Sequence[ClipResult]) -> str:
-    """Tabulate how many clips were answered, the errors, and the track's accuracy."""
-    errors = np.array(
-        [abs(clip.estimate - clip.truth) for clip in results if clip.estimate is not None]
-    )
-    covered = [
-        clip.interval[0] <= clip.truth <= clip.interval[1]
-        for clip in results
-        if clip.estimate is not None and clip.interval is not None
-    ]
-    tracked = [clip.off_px for clip in results if clip.off_px is not None]
-    head = ["clips", "answered", "ok", "MAE", "median", "95 %", "worst", "held", "track, px"]
-    row = [
-        str(len(results)),
-        str(len(errors)),
-        str(sum(clip.verdict == "ok" for clip in results)),
-        *_error_cells(errors),
-        f"{sum(covered)} of {len(covered)}" if covered else "-",
-        f"{np.median(tracked):.2f}" if tracked else "-",
-    ]
-    return "\n".join(
-        [
-            "Drawn clips, as a stranger films them",
-            table_line(head, _WIDTHS),
-            table_line(row, _WIDTHS),
-        ]
-    )
-
-
-def transformed_table(results: Sequence[TransformedClip]) -> str:
-    """Tabulate how much the estimate depends on transforms that leave the ball unchanged."""
-    spreads = [clip.spread for clip in results if clip.spread is not None]
-    whole = sum(clip.answered == len(VERSIONS) for clip in results)
-    head = ["clips", "answered", "", "mean", "median", "95 %", "worst"]
-    row = [str(len(results)), str(whole), "", *_error_cells(np.array(spreads))]
-    title = f"Spread of the answers for one clip: {', '.join(VERSIONS)}"
-    return "\n".join([title, table_line(head, _WIDTHS), table_line(row, _WIDTHS)])
-
-
-def _error_cells(errors: Array) -> list[str]:
-    """Format mean, median, 95th percentile and maximum of errors, shape (N,); dashes for none."""
-    if not len(errors):
-        return ["-"] * 4
-    figures = (errors.mean(), np.median(errors), np.quantile(errors, 0.95), errors.max())
-    return [short(float(figure)) for figure in figures]
 
 
 # ---- Tune from a track that was made, not found in pictures.
@@ -299,43 +200,6 @@ class Section:
     name: str  # in JSON and CSV
     title: str  # above the table
     kinds: tuple[TrackKind, ...]  # its lines
-
-
-@dataclass(frozen=True)
-class Portion:
-    """Some of a seed's tracks of a kind: what one process does in one go."""
-
-    kind: TrackKind
-    seed: int
-    numbers: range
-
-
-def outcomes_of(portion: Portion) -> Array:
-    """Tune each track: see `OUTCOME_COLUMNS`, shape (N, 6).
-
-    NaN stands for the truth of a track without a bounce, and for a value or an interval that the
-    tuning does not give.
-    """
-    return np.array([_outcome(portion.kind, portion.seed, at) for at in portion.numbers])
-
-
-def _outcome(kind: TrackKind, seed: int, number: int) -> list[float]:
-    noise_px = kind.noises_px[number % len(kind.noises_px)]
-    scene = draw_scene(kind.tracks, kind.balls, noise_px, seed, number)
-    truth, track = scene.ball.restitution, None
-    if kind.fault:
-        fault = next(one for one in TRACK_FAULTS if one.name == kind.fault)
-        truth, track = truth if fault.bounces else np.nan, fault.track(scene)
-    selection = TuneOptions(ball=BALLS[kind.given_ball]) if kind.given_ball else TuneOptions()
-    options = selection
-    tuning = tune_track(film(scene) if track is None else track, options)
-    value, low, high = np.nan, np.nan, np.nan
-    if tuning.estimate is not None:
-        value = tuning.estimate[0]
-        if tuning.trace is not None and tuning.trace.fit is not None:
-            low, high = tuning.trace.fit.interval95[0]
-    shown = tuning.interval95 is not None
-    return [truth, value, low, high, shown, VERDICTS.index(tuning.verdict)]
 
 
 def _good(tracks: TrackSet) -> tuple[TrackKind, ...]:
@@ -397,240 +261,249 @@ BAD = Section(
 TRACK_SECTIONS = (*SETS, SLOPE, DRAG, BAD)  # in the order in which they are run and printed
 
 
-# ---- Errors, coverage and verdicts on tracks.
+# ---- Cramér-Rao bound of any fit of a filmed ball that knows that it keeps its restitution.
+
+
+_ROUNDING_PX2 = 1 / 12
+
+
+def bound_row(tracks: TrackSet, noise_px: float, balls: BallRanges, order: Order) -> Row:
+    """Compute the least mean error and median width of scenes that no other section has."""
+    sds = np.array(
+        [
+            least_sd(draw_scene(tracks, balls, noise_px, -seed, number))
+            for seed in order.seeds
+            for number in range(order.targets_of("video", "bound"))
+        ]
+    )
+    low, high = balls.restitution
+    return {
+        "tracks": f"{tracks.name}, {noise_px:g} px, {low:g} to {high:g}",
+        "mean": float(np.sqrt(2 / np.pi) * sds.mean()),
+        "width": 3.92 * float(np.median(sds)),
+    }
+
+
+def least_sd(scene: TrackScene) -> float:
+    """Return the standard deviation of the restitution by an efficient estimator."""
+    ends_m = upright(np.array([0.0, scene.ball.drop_m]))
+    places, depths = scene.view.image_from_world(ends_m), scene.view.depths_m(ends_m)
+    fall_s, span_px = scene.ball.fall_s, float(np.linalg.norm(places[1] - places[0]))
+    truth = [scene.ball.restitution, fall_s, np.log(fall_s), 0.0, span_px]
+    truth += [np.log(depths[0] / depths[1]), 0.0, 0.0, 0.0]
+    seconds = scene.seconds[~scene.lost]
+    noise_px = float(np.sqrt(scene.noise_px**2 + _ROUNDING_PX2))
+    samples = BounceSamples(seconds, np.zeros(len(seconds)), noise_px)
+    slopes = samples.jacobian(np.array(truth, float), IDEAL)
+    information = slopes.T @ slopes / noise_px**2
+    information[PERSPECTIVE, PERSPECTIVE] += PERSPECTIVE_SD**-2
+    return float(np.sqrt(np.linalg.inv(information)[0, 0]))
+
+
+# ---- Run, and figures of a kind of track: errors, coverage and verdicts.
 
 
 WRONG = 0.05  # of restitution: a larger error is one that a user would mind
 _PORTION = 10  # tracks in a portion: few, so that the processes end together
 
 
-@dataclass(frozen=True)
-class VideoFigures:
-    """Figures of tracks of one kind; of errors and intervals, None where there is none."""
-
-    targets: int  # how many there were
-    answered: float  # fraction that got a value: verdict `ok` or `suspect`
-    ok: float  # fraction with that verdict; `suspect` and `rejected` likewise
-    suspect: float
-    rejected: float
-    # fraction of all that are `ok` and off by more than `WRONG`, or have no bounce at all
-    wrong: float
-    mae: float | None  # mean absolute error of the answered
-    median: float | None  # of their absolute errors
-    p95: float | None  # 95th percentile of these
-    bias: float | None  # mean error, positive where the value is too high
-    # fraction of the answered with an interval whose interval contains the truth, be it shown or
-    # not
-    covered: float | None
-    shown: float | None  # fraction of the answered whose interval the tuning shows
-    shown_covered: float | None  # fraction of those whose interval contains the truth
-    width: float | None  # median of all intervals' widths
-
-
-@dataclass(frozen=True)
-class VideoRow:
-    """Line of a table."""
-
-    section: str  # name of the `Section`
-    label: str  # of the `TrackKind`
-    outcomes: Array  # see `OUTCOME_COLUMNS`, shape (N, 6)
-
-    @property
-    def figures(self) -> VideoFigures:
-        """Figures by `figures_of`."""
-        return figures_of(self.outcomes)
-
-
-@dataclass(frozen=True)
-class VideoOrder:
-    """Settings of the experiment."""
-
-    seeds: tuple[int, ...]  # each draws its own tracks
-    targets: int  # tracks of each kind for each seed
-    jobs: int | None = None  # processes; None for all cores
-
-
-def track_sections(
-    order: VideoOrder, progress: Progress, sections: tuple[Section, ...] = TRACK_SECTIONS
-) -> Iterator[tuple[Section, tuple[VideoRow, ...]]]:
-    """Yield each section with its rows, as soon as it is done; the same for any number of jobs."""
-    for section in sections:
-        yield section, _rows(section, order, progress)
+def run(order: Order, progress: Progress) -> Iterator[Part]:
+    """Tune tracks kind by kind, then clips; the first part says what is measured."""
+    tracks = [one for one in TRACK_SECTIONS if one.name in order.sections]
+    if tracks:
+        yield Part(
+            "",
+            "Restitution at the first impact, from tracks of 320 x 240 px; "
+            f"{order.seeds_in_words}, {order.targets} tracks each.\n"
+            "Fractions in percent. Errors and intervals are of all answers: verdict ok or "
+            "suspect.\nA dash: there is none.",
+        )
+    good: dict[str, list[Array]] = {}
+    for section in tracks:
+        cases = {
+            kind.label: [
+                Piece((kind, *one), len(one[1]), kind.label) for one in order.portions(_PORTION)
+            ]
+            for kind in section.kinds
+        }
+        done = scored(track_outcomes, cases, order, progress, (section.name, "track"))
+        outcomes = {label: np.array(rows) for label, rows in done.items()}
+        rows = [{"tracks": label, **figures_of(some)} for label, some in outcomes.items()]
+        yield Part(section.name, section_table(section, rows), rows)
+        if section in SETS:
+            good[section.name] = list(outcomes.values())
+            if len(good) == len(SETS):
+                yield Part("", overall([some for one in good.values() for some in one]))
+    fraction = min(order.targets / STUDIES["video"].targets, 1.0)
+    for name, full, work, tabulate in (
+        ("clips", COUNT, clip_row, clip_table),
+        ("transformed", TRANSFORMED, transformed_row, transformed_table),
+    ):
+        if name in order.sections:
+            count = math.ceil(full * fraction)
+            clips = [Piece((order.seeds[0], at), 1, f"clip {at}") for at in range(count)]
+            rows = scored(work, {name: clips}, order, progress, ("filming", "clip"))[name]
+            yield Part(name, tabulate(rows), rows)
+    if "bound" in order.sections:
+        rows = [
+            bound_row(tracks, noise_px, BallRanges(one), order)
+            for tracks in TRACK_SETS
+            for noise_px in NOISES_PX
+            for one in (NARROW, WIDE)
+        ]
+        yield Part("bound", listed(rows, "Cramér-Rao bound of a fit of ideal balls"), rows)
 
 
-def figures_of(outcomes: Array) -> VideoFigures:
+def track_outcomes(case: tuple[TrackKind, int, range]) -> list[list[float]]:
+    """Tune tracks of a kind and a seed: see `OUTCOME_COLUMNS`, shape (N, 6).
+
+    NaN stands for the truth of a track without a bounce, and for a value or an interval that the
+    tuning does not give.
+    """
+    kind, seed, numbers = case
+    return [_outcome(kind, seed, number) for number in numbers]
+
+
+def _outcome(kind: TrackKind, seed: int, number: int) -> list[float]:
+    noise_px = kind.noises_px[number % len(kind.noises_px)]
+    scene = draw_scene(kind.tracks, kind.balls, noise_px, seed, number)
+    truth, track = scene.ball.restitution, None
+    if kind.fault:
+        fault = next(one for one in TRACK_FAULTS if one.name == kind.fault)
+        truth, track = truth if fault.bounces else np.nan, fault.track(scene)
+    options = TuneOptions(ball=BALLS[kind.given_ball]) if kind.given_ball else TuneOptions()
+    tuning = tune_track(film(scene) if track is None else track, options)
+    value, low, high = np.nan, np.nan, np.nan
+    if tuning.estimate is not None:
+        value = tuning.estimate[0]
+        if tuning.trace is not None and tuning.trace.fit is not None:
+            low, high = tuning.trace.fit.interval95[0]
+    shown = tuning.interval95 is not None
+    return [truth, value, low, high, shown, VERDICTS.index(tuning.verdict)]
+
+
+def figures_of(outcomes: Array) -> Row:
     """Compute the figures of outcomes: see `OUTCOME_COLUMNS`, shape (N, 6)."""
     truth, value, low, high, is_shown, verdict = outcomes.T
-    answered = np.isfinite(value)
-    errors = (value - truth)[answered & np.isfinite(truth)]
-    off = np.where(np.isfinite(truth), np.abs(value - truth), np.inf)
+    errors, answered = value - truth, np.isfinite(value)
+    off = np.where(np.isfinite(truth), np.abs(errors), np.inf)
+    covered = holds(low, high, truth)
     ok, suspect, rejected = (verdict == VERDICTS.index(name) for name in VERDICTS)
-    known = np.isfinite(low) & np.isfinite(truth)
-    covered, shown = (low <= truth) & (truth <= high), known & (is_shown > 0)
-    return VideoFigures(
-        targets=len(outcomes),
-        answered=float(answered.mean()),
-        ok=float(ok.mean()),
-        suspect=float(suspect.mean()),
-        rejected=float(rejected.mean()),
-        wrong=float(np.mean(ok & (off > WRONG))),
-        mae=_or_none(np.abs(errors), np.mean),
-        median=_or_none(np.abs(errors), np.median),
-        p95=_or_none(np.abs(errors), lambda errors: np.percentile(errors, 95)),
-        bias=_or_none(errors, np.mean),
-        covered=_or_none(covered[known], np.mean),
-        shown=_or_none(shown[answered], np.mean),
-        shown_covered=_or_none(covered[shown], np.mean),
-        width=_or_none((high - low)[known], np.median),
+    return {
+        "targets": len(outcomes),
+        "answered": float(answered.mean()),
+        "ok": float(ok.mean()),
+        "suspect": float(suspect.mean()),
+        "rejected": float(rejected.mean()),
+        # fraction of all that are ok and off by more than `WRONG`, or have no bounce at all
+        "wrong": float(np.mean(ok & (off > WRONG))),
+        "mae": figure(np.abs(errors)),
+        "median": figure(np.abs(errors), np.median),
+        "p95": figure(np.abs(errors), lambda known: np.percentile(known, 95)),
+        "bias": figure(errors),  # positive where the values are too high
+        "covered": figure(covered),  # of the intervals, be they shown or not
+        # of the answered, whose interval the tuning shows; of these, which hold the truth
+        "shown": figure((np.isfinite(covered) & (is_shown > 0))[answered]),
+        "shown_covered": figure(covered[is_shown > 0]),
+        "width": figure((high - low)[np.isfinite(covered)], np.median),
+    }
+
+
+# ---- Tables for a terminal.
+
+
+def clip_table(rows: Sequence[Row]) -> str:
+    """Tabulate how many clips were answered, the errors, and the track's accuracy."""
+    answered = [row for row in rows if row["estimate"] is not None]
+    covered = [
+        row["interval"][0] <= row["truth"] <= row["interval"][1]
+        for row in answered
+        if row["interval"] is not None
+    ]
+    tracked = [row["off_px"] for row in rows if row["off_px"] is not None]
+    cells = [
+        str(len(rows)),
+        str(len(answered)),
+        str(sum(row["verdict"] == "ok" for row in rows)),
+        *_error_cells([abs(row["estimate"] - row["truth"]) for row in answered]),
+        f"{sum(covered)} of {len(covered)}" if covered else "-",
+        decimals(figure(tracked, np.median), 2),
+    ]
+    head = ["clips", "answered", "ok", "MAE", "median", "95 %", "worst", "held", "track, px"]
+    return table([head, cells], "Drawn clips, as a stranger films them")
+
+
+def transformed_table(rows: Sequence[Row]) -> str:
+    """Tabulate how much the estimate depends on transforms that leave the ball unchanged."""
+    whole = sum(None not in row["estimates"] for row in rows)
+    spreads = [row["spread"] for row in rows if row["spread"] is not None]
+    cells = [str(len(rows)), str(whole), "", *_error_cells(spreads)]
+    return table(
+        [["clips", "answered", "", "mean", "median", "95 %", "worst"], cells],
+        f"Spread of the answers for one clip: {', '.join(VERSIONS)}",
     )
 
 
-def _or_none(values: NDArray[Any], figure: Callable[[NDArray[Any]], Any]) -> float | None:
-    return float(figure(values)) if len(values) else None
+def _error_cells(errors: Sequence[float]) -> list[str]:
+    """Format mean, median, 95th percentile and maximum of errors; dashes for none."""
+    p95 = figure(errors, lambda known: np.quantile(known, 0.95))
+    return [
+        short(one)
+        for one in (figure(errors), figure(errors, np.median), p95, figure(errors, np.max))
+    ]
 
 
-def _rows(section: Section, order: VideoOrder, progress: Progress) -> tuple[VideoRow, ...]:
-    pieces: list[Piece[Portion]] = []
-    rows: list[tuple[str, slice]] = []
-    for kind in section.kinds:
-        start = len(pieces)
-        for seed in order.seeds:
-            for at in range(0, order.targets, _PORTION):
-                numbers = range(at, min(at + _PORTION, order.targets))
-                pieces.append(Piece(Portion(kind, seed, numbers), len(numbers), kind.label))
-        rows.append((kind.label, slice(start, len(pieces))))
-    done = parallel_map(outcomes_of, pieces, order.jobs, progress, (section.name, "track"))
-    return tuple(VideoRow(section.name, label, np.concatenate(done[own])) for label, own in rows)
-
-
-# ---- JSON and CSV: one record a line of the tables on tracks.
-
-
-COLUMNS = ("section", "tracks", *(field.name for field in fields(VideoFigures)))  # of the CSV
-
-
-def video_records(rows: Sequence[VideoRow]) -> list[dict[str, Any]]:
-    """Return one record for each line; see `COLUMNS`."""
-    return [{"section": row.section, "tracks": row.label, **asdict(row.figures)} for row in rows]
-
-
-def video_json(
-    rows: Sequence[VideoRow],
-    order: VideoOrder,
-    clips: Sequence[ClipResult] = (),
-    transformed: Sequence[TransformedClip] = (),
-) -> str:
-    """Serialise every figure, and the result of each clip; null where there is none."""
-    head = {"experiment": "video", "seeds": list(order.seeds), "targets": order.targets}
-    tables = {
-        "rows": video_records(rows),
-        "clips": [asdict(clip) for clip in clips],
-        "transformed": [{**asdict(clip), "spread": clip.spread} for clip in transformed],
-    }
-    return json_text({**head, **tables})
-
-
-def video_csv(rows: Sequence[VideoRow]) -> str:
-    """Format `video_records` as a table; an empty field where there is no figure."""
-    return csv_text(COLUMNS, video_records(rows))
-
-
-# ---- Tables on tracks for a terminal.
-
-
-Column = tuple[str, int, Callable[[VideoFigures], str]]
-
-
-def video_blocks(
-    order: VideoOrder, sections: Iterable[tuple[Section, Sequence[VideoRow]]]
-) -> Iterator[str]:
-    """Yield the protocol, each section's table as soon as it is there, and overall figures."""
-    yield _protocol(order)
-    good: dict[str, Sequence[VideoRow]] = {}
-    for section, rows in sections:
-        yield section_table(section, rows)
-        if section in SETS:
-            good[section.name] = rows
-            if len(good) == len(SETS):
-                yield overall([row for one in good.values() for row in one])
-
-
-def section_table(section: Section, rows: Sequence[VideoRow]) -> str:
+def section_table(section: Section, rows: Sequence[Row]) -> str:
     """Tabulate one line for each kind of track."""
-    columns = _columns(section)
-    lines = [section.title, _line(section, "", [name for name, _, _ in columns])]
-    for row in rows:
-        figures = row.figures
-        lines.append(_line(section, row.label, [show(figures) for _, _, show in columns]))
-    return "\n".join(lines)
+    columns = (
+        _BAD if section is BAD else (*_VERDICTS, *((_BIAS,) if section is DRAG else ()), *_ERRORS)
+    )
+    return table(shown(columns, rows), section.title)
 
 
-def overall(rows: Sequence[VideoRow]) -> str:
+def overall(outcomes: Sequence[Array]) -> str:
     """Describe coverage and width over all good tracks, and the worst line's coverage."""
-    figures = figures_of(np.concatenate([row.outcomes for row in rows]))
-    text = f"A, B and C: {figures.targets} tracks, {_percent(figures.rejected)} % rejected."
-    cells = [one.covered for one in (row.figures for row in rows) if one.covered is not None]
-    if cells:
+    figures = figures_of(np.concatenate(outcomes))
+    text = f"A, B and C: {figures['targets']} tracks, {percent(figures['rejected'])} % rejected."
+    covered = [one["covered"] for one in map(figures_of, outcomes) if one["covered"] is not None]
+    if covered:
         text += (
-            f"\n95 % intervals: {_percent(figures.covered)} % contain the truth, in the worst line "
-            f"{_percent(min(cells))} %; median width {short_or_dash(figures.width)}."
-            f"\n{_percent(figures.shown)} % of the answers show theirs; of these "
-            f"{_percent(figures.shown_covered)} % do."
+            f"\n95 % intervals: {percent(figures['covered'])} % contain the truth, in the worst "
+            f"line {percent(min(covered))} %; median width {short(figures['width'])}."
+            f"\n{percent(figures['shown'])} % of the answers show theirs; of these "
+            f"{percent(figures['shown_covered'])} % do."
         )
     return text
-
-
-def _protocol(order: VideoOrder) -> str:
-    return (
-        "Restitution at the first impact, from tracks of 320 x 240 px; "
-        f"{seeds_in_words(order.seeds)}, {order.targets} tracks each.\n"
-        "Fractions in percent. Errors and intervals are of all answers: verdict ok or suspect.\n"
-        "A dash: there is none."
-    )
-
-
-def _percent(fraction: float | None) -> str:
-    return "-" if fraction is None else f"{100 * fraction:.1f}"
 
 
 def _signed(error: float | None) -> str:
     return "-" if error is None else ("-" if error < 0 else "+") + short(abs(error))
 
 
-_TARGETS: Column = ("tracks", 7, lambda one: str(one.targets))
-_REJECTED: Column = ("rejected", 10, lambda one: _percent(one.rejected))
-_SUSPECT: Column = ("suspect", 9, lambda one: _percent(one.suspect))
-_VERDICTS: tuple[Column, ...] = (
+_LABEL = ("", lambda row: row["tracks"])
+_TARGETS = ("tracks", lambda row: str(row["targets"]))
+_REJECTED = ("rejected", lambda row: percent(row["rejected"]))
+_SUSPECT = ("suspect", lambda row: percent(row["suspect"]))
+_VERDICTS: Columns = (
+    _LABEL,
     _TARGETS,
-    ("answered", 10, lambda one: _percent(one.answered)),
+    ("answered", lambda row: percent(row["answered"])),
     _REJECTED,
     _SUSPECT,
 )
-_BIAS: Column = ("bias", 8, lambda one: _signed(one.bias))
-_ERRORS: tuple[Column, ...] = (
-    ("mean", 7, lambda one: short_or_dash(one.mae)),
-    ("median", 7, lambda one: short_or_dash(one.median)),
-    ("95th", 7, lambda one: short_or_dash(one.p95)),
-    ("held", 6, lambda one: _percent(one.covered)),
-    ("width", 5, lambda one: short_or_dash(one.width)),
+_BIAS = ("bias", lambda row: _signed(row["bias"]))
+_ERRORS: Columns = (
+    ("mean", lambda row: short(row["mae"])),
+    ("median", lambda row: short(row["median"])),
+    ("95th", lambda row: short(row["p95"])),
+    ("held", lambda row: percent(row["covered"])),
+    ("width", lambda row: short(row["width"])),
 )
-_BAD: tuple[Column, ...] = (
+_BAD: Columns = (
+    _LABEL,
     _TARGETS,
-    ("ok", 7, lambda one: _percent(one.ok)),
-    (f"ok, off by > {WRONG:g}", 19, lambda one: _percent(one.wrong)),
+    ("ok", lambda row: percent(row["ok"])),
+    (f"ok, off by > {WRONG:g}", lambda row: percent(row["wrong"])),
     _REJECTED,
     _SUSPECT,
 )
-
-
-def _columns(section: Section) -> tuple[Column, ...]:
-    if section is BAD:
-        return _BAD
-    bias = (_BIAS,) if section is DRAG else ()
-    return (*_VERDICTS, *bias, *_ERRORS)
-
-
-def _line(section: Section, label: str, cells: Sequence[str]) -> str:
-    first = max(len(kind.label) for kind in section.kinds) + 2
-    widths = [width for _, width, _ in _columns(section)]
-    return table_line([label, *cells], [first, *widths])

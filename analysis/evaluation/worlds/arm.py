@@ -21,7 +21,6 @@ from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 
 # ---- Motions: each joint along a sum of sines, from rest to rest.
 
-
 _TERMS = 3  # sines of a joint
 _MIN_S, _MAX_S = 6.0, 10.0  # of a motion
 _LOWEST_RAD, _MAX_SPAN_RAD = -2.8, 5.6  # of a joint, within its own limits
@@ -70,7 +69,6 @@ class StrangerMotion:
 
 
 # ---- The arm and its troubles: a run of it with its driver's torques, and a log of two runs.
-
 
 GRAVITY_M_S2 = 9.80665  # standard gravity
 _FINE_HZ = 400.0  # at which torques are computed, to be reported late and at other rates
@@ -184,8 +182,7 @@ def stranger_log(urdf: Path, tool: str, seed: int, troubles: Troubles) -> Strang
 class StrangerArm:
     """Arm as it is, drawn."""
 
-    library: Any  # Pinocchio
-    model: Any  # its, with the links and the tilt that this arm has
+    model: Any  # Pinocchio's, with the links and the tilt that this arm has
     frame: int  # of the tool, in the model
     limit_nm: Array  # highest torque of each joint [N·m], shape (J,)
     zero_rad: Array  # of each encoder, shape (J,)
@@ -217,7 +214,7 @@ class StrangerArm:
         draws["phase"] = rng.uniform(0.0, 2 * np.pi, (4, count))
         zero_rad = size.zero_rad * rng.standard_normal(count)
         frame = model.getFrameId(tool)
-        return cls(library, model, frame, limit_nm, zero_rad, draws, size)
+        return cls(model, frame, limit_nm, zero_rad, draws, size)
 
     def run(
         self,
@@ -234,7 +231,7 @@ class StrangerArm:
         where = motion.at(fine)
         speed = np.gradient(where, 1 / _FINE_HZ, axis=0)
         pull = np.gradient(speed, 1 / _FINE_HZ, axis=0)
-        rigid = self._rigid_nm(self._loaded(payload), where, speed, pull)
+        rigid = rigid_nm(self._loaded(payload), where, speed, pull)
         rigid += size.rotor_kg_m2 * draw["rotor"] * pull
         felt = rigid + self._friction_nm(rigid, speed) + self._place_nm(where)
         felt *= 1 + size.gain * draw["gain"]
@@ -266,19 +263,8 @@ class StrangerArm:
         if payload is None:
             return self.model
         mass_kg, centre_m = payload
-        model = self.model.copy()
-        mount = model.frames[self.frame]
-        block = mass_kg / 12 * np.diag([0.06**2 + 0.1**2, 0.05**2 + 0.1**2, 0.05**2 + 0.06**2])
-        body = self.library.Inertia(mass_kg, centre_m, block)
-        at = mount.parentJoint
-        model.inertias[at] = model.inertias[at] + mount.placement.act(body)
-        return model
-
-    def _rigid_nm(self, model: Any, where: Array, speed: Array, pull: Array) -> Array:
-        """Return Newton-Euler torques along a motion [rad, rad/s, rad/s²], all (T, J)."""
-        data = model.createData()
-        rows = zip(where, speed, pull, strict=True)
-        return np.array([self.library.rnea(model, data, *row).copy() for row in rows])
+        block = np.diag([0.06**2 + 0.1**2, 0.05**2 + 0.1**2, 0.05**2 + 0.06**2])
+        return holding(self.model, self.frame, mass_kg, centre_m, mass_kg / 12 * block)
 
     def _friction_nm(self, carried: Array, speed: Array) -> Array:
         """Return the friction of gears with torques [N·m] and speeds [rad/s], all (T, J)."""
@@ -306,12 +292,29 @@ class StrangerArm:
         small = 1e-3
         speed = (motion.at(stamps + small) - motion.at(stamps - small)) / (2 * small)
         pull = (motion.at(stamps + small) - 2 * where + motion.at(stamps - small)) / small**2
-        base = self._rigid_nm(self.model, where, speed, pull)
-        columns = [self._rigid_nm(self._loaded((1.0, np.zeros(3))), where, speed, pull) - base]
+        base = rigid_nm(self.model, where, speed, pull)
+        columns = [rigid_nm(self._loaded((1.0, np.zeros(3))), where, speed, pull) - base]
         for axis in np.eye(3):
-            moved = self._rigid_nm(self._loaded((1.0, 0.01 * axis)), where, speed, pull) - base
+            moved = rigid_nm(self._loaded((1.0, 0.01 * axis)), where, speed, pull) - base
             columns.append((moved - columns[0]) / 0.01)
         return np.stack(columns, axis=-1)
+
+
+def holding(model: Any, frame: int, mass_kg: float, centre_m: Array, inertia: Array) -> Any:
+    """Attach a body to a model's hand, in the tool frame: centre (3,), inertia about it (3, 3)."""
+    library, model = import_module("pinocchio"), model.copy()
+    mount = model.frames[frame]
+    at = mount.parentJoint
+    body = library.Inertia(mass_kg, centre_m, inertia)
+    model.inertias[at] = model.inertias[at] + mount.placement.act(body)
+    return model
+
+
+def rigid_nm(model: Any, where: Array, speed: Array, pull: Array) -> Array:
+    """Return Newton-Euler torques along a motion [rad, rad/s, rad/s²], all (T, J)."""
+    library, data = import_module("pinocchio"), model.createData()
+    rows = zip(where, speed, pull, strict=True)
+    return np.array([library.rnea(model, data, *row).copy() for row in rows])
 
 
 @cache

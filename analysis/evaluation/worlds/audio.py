@@ -9,9 +9,8 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,29 +18,31 @@ from numpy.typing import NDArray
 from tunenet_logs.analysis.evaluation.worlds.ball import (
     BounceHistory,
     BounceOrder,
-    DroppedBall,
+    Range,
+    RealBall,
     bounced,
 )
 from tunenet_logs.analysis.evaluation.worlds.camera import SIZES_PX
 from tunenet_logs.analysis.evaluation.worlds.clips import (
     ClipOrder,
+    aac_stream,
+    add_sound,
     clip_frames,
     draw_clip_of,
     frame_seconds,
+    mp4,
 )
 from tunenet_logs.episode import Array, Channel, Episode, EpisodeInfo, Signal, Sound
 from tunenet_logs.recorders.simulators.known import Ball
 
 # ---- Music that nobody wrote: chords, a melody and drums on a beat.
 
-
 _SCALE = (0, 2, 4, 5, 7, 9, 11)  # semitones of a major scale
 
 
 def music(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
     """Synthesise a band, about as loud as 1 at the loudest."""
-    count = int(seconds * rate_hz)
-    sound = np.zeros(count)
+    sound = np.zeros(int(seconds * rate_hz))
     beat_s = 60 / rng.uniform(70, 160)
     root_hz = 110 * 2 ** (rng.integers(12) / 12)
     pluck_s, has_drums = rng.uniform(0.002, 0.02), rng.random() < 0.75
@@ -64,7 +65,12 @@ def music(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
         if has_drums:
             kind = "kick" if beat % 2 == 0 else "snare"
             _add(sound, at_s, _drum(kind, rate_hz, rng), 0.8, rate_hz)
-    return sound / max(float(np.max(np.abs(sound), initial=0.0)), 1e-9)
+    return sound / _peak(sound)
+
+
+def _peak(sound: Array) -> float:
+    """Return the loudest sample, a little more than 0 of silence."""
+    return max(float(np.max(np.abs(sound), initial=0.0)), 1e-9)
 
 
 def _ratio(degree: int) -> float:
@@ -73,6 +79,7 @@ def _ratio(degree: int) -> float:
 
 
 def _add(sound: Array, at_s: float, part: Array, gain: float, rate_hz: float) -> None:
+    """Add what is within the sound."""
     start = int(at_s * rate_hz)
     if start < 0:
         part, start = part[-start:], 0
@@ -114,7 +121,6 @@ def _drum(kind: str, rate_hz: float, rng: np.random.Generator) -> Array:
 
 # ---- Speech without words: a pulsed throat through resonances, hisses, pauses.
 
-
 # First three formants of vowels (Peterson and Barney 1952, men).
 _VOWELS_HZ = (
     *((730, 1090, 2440), (270, 2290, 3010), (300, 870, 2240), (530, 1840, 2480)),
@@ -126,21 +132,17 @@ _WIDTHS_HZ = (70.0, 100.0, 150.0)
 
 def speech(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
     """Synthesise somebody who talks, about as loud as 1 at the loudest."""
-    count = int(seconds * rate_hz)
-    sound = np.zeros(count)
+    sound = np.zeros(int(seconds * rate_hz))
     pitch_hz, size = rng.uniform(90, 230), rng.uniform(0.95, 1.2)
     at_s = rng.uniform(0.0, 0.4)
     while at_s < seconds:
         for _ in range(int(rng.integers(2, 9))):  # a phrase
             for part in _syllable(pitch_hz * np.exp(rng.normal(0, 0.12)), size, rate_hz, rng):
-                start = int(at_s * rate_hz)
-                end = min(count, start + len(part))
-                if start < end:
-                    sound[start:end] += part[: end - start]
+                _add(sound, at_s, part, 1.0, rate_hz)
                 at_s += len(part) / rate_hz
             at_s += rng.choice([0.0, 0.0, rng.uniform(0.02, 0.1)])
         at_s += rng.uniform(0.15, 0.8)
-    return sound / max(float(np.max(np.abs(sound), initial=0.0)), 1e-9)
+    return sound / _peak(sound)
 
 
 def _syllable(
@@ -180,35 +182,37 @@ def _vowel(
     rise, fall = int(rng.uniform(0.008, 0.04) * rate_hz), int(0.04 * rate_hz)
     envelope = np.minimum(np.arange(count) / rise, 1) * np.minimum(np.arange(count)[::-1] / fall, 1)
     sound = sound * envelope
-    return rng.uniform(0.4, 1.0) * sound / max(float(np.max(np.abs(sound))), 1e-9)
+    return rng.uniform(0.4, 1.0) * sound / _peak(sound)
 
 
 def _hiss(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
-    from scipy.signal import butter, sosfilt
-
     low = rng.uniform(1500, 4500)
-    ends = [low, min(low + rng.uniform(2000, 5000), 0.45 * rate_hz)]
-    band = butter(2, ends, "bandpass", fs=rate_hz, output="sos")
+    high = min(low + rng.uniform(2000, 5000), 0.45 * rate_hz)
     count = int(seconds * rate_hz)
-    noise = np.asarray(sosfilt(band, rng.standard_normal(count)))
+    noise = _band_passed(rng.standard_normal(count), rate_hz, (low, high), 2)
     noise *= np.sin(np.pi * (np.arange(count) + 0.5) / count) ** rng.uniform(0.3, 1.0)
-    return rng.uniform(0.1, 0.4) * noise / max(float(np.max(np.abs(noise))), 1e-9)
+    return rng.uniform(0.1, 0.4) * noise / _peak(noise)
 
 
 def _burst(rate_hz: float, rng: np.random.Generator) -> Array:
     """Synthesise p, t or k, which start at once."""
-    from scipy.signal import butter, sosfilt
-
     count = int(rng.uniform(0.012, 0.04) * rate_hz)
     low = rng.uniform(500, 3000)
-    band = butter(1, [low, low * rng.uniform(1.5, 3.0)], "bandpass", fs=rate_hz, output="sos")
-    noise = np.asarray(sosfilt(band, rng.standard_normal(count)))
+    high = low * rng.uniform(1.5, 3.0)
+    noise = _band_passed(rng.standard_normal(count), rate_hz, (low, high), 1)
     noise *= np.exp(-np.arange(count) / rate_hz / rng.uniform(0.003, 0.01))
-    return rng.uniform(0.2, 0.7) * noise / max(float(np.max(np.abs(noise))), 1e-9)
+    return rng.uniform(0.2, 0.7) * noise / _peak(noise)
+
+
+def _band_passed(samples: Array, rate_hz: float, ends_hz: Range, order: int) -> Array:
+    """Filter as Butterworth did, from the past alone."""
+    from scipy.signal import butter, sosfilt
+
+    sections = butter(order, ends_hz, "bandpass", fs=rate_hz, output="sos")
+    return np.asarray(sosfilt(sections, samples))
 
 
 # ---- Backgrounds: a quiet room, a fan, speech, music.
-
 
 Background = Literal["quiet", "noise", "speech", "music"]
 BACKGROUNDS: tuple[Background, ...] = get_args(Background)
@@ -227,15 +231,18 @@ def background_sound(
         rng: draws it.
     """
     count = int(seconds * rate_hz)
+    time = np.arange(count) / rate_hz
     if kind == "noise":
         noise = coloured_noise(count, rate_hz, rng.choice([0.0, 0.5, 1.0]), rng)
         if rng.random() < 0.4:
-            time = np.arange(count) / rate_hz
-            blades = 1 + 0.5 * np.sin(2 * np.pi * rng.uniform(20, 90) * time)
-            noise = noise * blades
+            noise = noise * (1 + 0.5 * np.sin(2 * np.pi * rng.uniform(20, 90) * time))
         return noise
     room = coloured_noise(count, rate_hz, rng.uniform(0.5, 1.0), rng)
-    room += rng.uniform(0.0, 1.0) * hum(count, rate_hz, rng)
+    strength, mains_hz = rng.uniform(0.0, 1.0), rng.choice([50.0, 60.0])
+    hum = np.zeros(count)
+    for number, turn in enumerate(rng.uniform(0, 2 * np.pi, 6), 1):
+        hum += np.sin(2 * np.pi * mains_hz * number * time + turn) / number
+    room += strength * hum
     if kind == "quiet":
         return room
     made = (speech if kind == "speech" else music)(seconds, rate_hz, rng)[:count]
@@ -250,24 +257,7 @@ def coloured_noise(count: int, rate_hz: float, fall: float, rng: np.random.Gener
     return np.fft.irfft(spectrum * np.maximum(hz, 30.0) ** -fall, count) * 30.0**fall
 
 
-def hum(count: int, rate_hz: float, rng: np.random.Generator) -> Array:
-    """Synthesise mains hum with harmonics, about as strong as 1."""
-    time = np.arange(count) / rate_hz
-    mains_hz = rng.choice([50.0, 60.0])
-    turns = rng.uniform(0, 2 * np.pi, 6)
-    return sum(
-        (
-            np.sin(2 * np.pi * mains_hz * number * time + turn) / number
-            for number, turn in enumerate(turns, 1)
-        ),
-        start=np.zeros(count),
-    )
-
-
 # ---- Balls and tables that sound: sizes, masses, contacts, and the modes that ring.
-
-
-Range = tuple[float, float]
 
 _AIR_KG_M3 = 1.2
 
@@ -421,7 +411,6 @@ def _log_drawn(ends: Range, count: int, rng: np.random.Generator) -> Array:
 
 # ---- Impact sounds: damped modes and the noise of a touch.
 
-
 # A strike gets to its full strength in a time that goes as the speed to this power: fast impacts
 # are brighter.
 _BRIGHTER = -0.3
@@ -476,17 +465,13 @@ def _one(
 
 
 def _slap(voice: ImpactVoice, seconds: Array, rate_hz: float, seed: int) -> Array:
-    from scipy.signal import butter, sosfilt
-
     low, high = voice.slap_hz
-    band = butter(1, [low, min(high, 0.45 * rate_hz)], "bandpass", fs=rate_hz, output="sos")
     white = np.random.default_rng(seed).standard_normal(len(seconds) + 200)
-    noise = np.asarray(sosfilt(band, white))[200:]
+    noise = _band_passed(white, rate_hz, (low, min(high, 0.45 * rate_hz)), 1)[200:]
     return voice.slap_gain * noise * np.exp(-seconds / voice.slap_s)
 
 
 # ---- Loudness: impacts beside the background.
-
 
 OCTAVES_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)  # middles of bands an octave wide
 WINDOW_S = 0.02
@@ -525,6 +510,7 @@ def _power(samples: Array, rate_hz: float, middle_hz: float) -> float:
 
 # ---- A room, a microphone and a phone's electronics.
 
+Codec = Literal["pcm", "aac"]
 
 _BLOCK = 64  # samples that automatic gain is the same for, before it is smoothed
 
@@ -587,19 +573,19 @@ class SoundPhone:
 
     def band(self, samples: Array, rate_hz: float) -> Array:
         """Apply the microphone's band-pass filter; causal, as every microphone."""
-        from scipy.signal import butter, sosfilt
+        return _band_passed(samples, rate_hz, (self.low_hz, min(self.high_hz, 0.46 * rate_hz)), 2)
 
-        high = min(self.high_hz, 0.46 * rate_hz)
-        sections = butter(2, [self.low_hz, high], "bandpass", fs=rate_hz, output="sos")
-        return np.asarray(sosfilt(sections, samples))
-
-    def recorded(self, samples: Array, rate_hz: float) -> Array:
-        """Apply gain, full scale and 16 bits."""
+    def recorded(self, samples: Array, rate_hz: int, codec: Codec) -> NDArray[np.float32]:
+        """Apply gain, full scale, 16 bits and a codec."""
         if self.gain_ratio > 1:
             samples = samples * _automatic_gain(samples, rate_hz, self.gain_ratio, self.release_s)
         loudest = float(np.max(np.abs(samples), initial=1e-9))
         clipped = np.clip(self.peak / loudest * samples, -1.0, 32767 / 32768)
-        return np.round(clipped * 32768) / 32768
+        whole = (np.round(clipped * 32768) / 32768).astype(np.float32)
+        if codec == "aac":
+            whole = through_aac(whole, rate_hz)
+        whole.flags.writeable = False
+        return whole
 
 
 def _automatic_gain(samples: Array, rate_hz: float, ratio: float, release_s: float) -> Array:
@@ -635,28 +621,17 @@ def draw_phone(rng: np.random.Generator) -> SoundPhone:
 # ---- Files as users have them: PCM in WAV, or AAC in M4A.
 
 
-AAC_BIT_S = 64_000
-_AAC_SAMPLES = 1024  # of one packet
-
-
 def write_sound(samples: NDArray[np.float32], rate_hz: int, path: Path) -> None:
     """Write .wav (16 bits) or .m4a (AAC, 64 kbit/s), by the path's end."""
-    data = wav_bytes(samples, rate_hz) if path.suffix == ".wav" else aac_bytes(samples, rate_hz)
-    path.write_bytes(data)
-
-
-def wav_bytes(samples: NDArray[np.float32], rate_hz: int) -> bytes:
-    """Encode a WAV file of 16 bits, one channel."""
+    if path.suffix != ".wav":
+        path.write_bytes(aac_bytes(samples, rate_hz))
+        return
     import wave
 
     whole = np.clip(np.round(samples.astype(np.float64) * 32768), -32768, 32767).astype("<i2")
-    held = io.BytesIO()
-    with wave.open(held, "wb") as file:
-        file.setnchannels(1)
-        file.setsampwidth(2)
-        file.setframerate(rate_hz)
+    with wave.open(str(path), "wb") as file:
+        file.setparams((1, 2, rate_hz, 0, "NONE", ""))
         file.writeframes(whole.tobytes())
-    return held.getvalue()
 
 
 def aac_bytes(samples: NDArray[np.float32], rate_hz: int) -> bytes:
@@ -665,25 +640,8 @@ def aac_bytes(samples: NDArray[np.float32], rate_hz: int) -> bytes:
 
     held = io.BytesIO()
     with av.open(held, "w", format="mp4") as container:
-        stream: Any = container.add_stream("aac", rate=rate_hz)
-        stream.bit_rate = AAC_BIT_S
-        stream.layout = "mono"
-        add_sound(container, stream, samples, rate_hz)
+        add_sound(container, aac_stream(container, rate_hz), samples, rate_hz)
     return held.getvalue()
-
-
-def add_sound(
-    container: Any, stream: Any, samples: NDArray[np.float32], rate_hz: int, at: int = 0
-) -> None:
-    """Encode a sound, shape (N,), into an open PyAV container."""
-    import av
-
-    for start in range(0, len(samples), _AAC_SAMPLES):
-        piece = np.ascontiguousarray(samples[None, start : start + _AAC_SAMPLES], np.float32)
-        frame = av.AudioFrame.from_ndarray(piece, format="fltp", layout="mono")
-        frame.sample_rate, frame.pts = rate_hz, at + start
-        container.mux(stream.encode(frame))
-    container.mux(stream.encode(None))
 
 
 def through_aac(samples: NDArray[np.float32], rate_hz: int) -> NDArray[np.float32]:
@@ -704,9 +662,6 @@ def through_aac(samples: NDArray[np.float32], rate_hz: int) -> NDArray[np.float3
 
 
 # ---- A bounce drawn at random, as a phone hears it, with the truth behind it.
-
-
-Codec = Literal["pcm", "aac"]
 
 RESTITUTIONS = (0.5, 0.95)
 SLOPES = (0.0, 0.15)
@@ -763,15 +718,31 @@ class SoundScene:
 
 
 @dataclass(frozen=True, eq=False)
-class SoundClip:
-    """Recording and its truth."""
+class Recorded:
+    """Recording."""
 
     samples: NDArray[np.float32]  # full scale 1, shape (N,)
-    rate_hz: int  # of them
+    rate_hz: int
+    codec: Codec  # that the samples went through
+
+    def write(self, path: Path) -> None:
+        """Write as .wav or .m4a; the first as it is, the second encoded (once more, if it was)."""
+        write_sound(self.samples, self.rate_hz, path)
+
+    def sound(self, name: str = "/audio", start_ns: int = 0) -> Sound:
+        """Return the sound in memory, as a reader gives it."""
+        codec = "pcm_s16le" if self.codec == "pcm" else "aac"
+        rate_hz = float(self.rate_hz)
+        return Sound(name, start_ns, rate_hz, self.samples, rate_hz, codec=codec)
+
+
+@dataclass(frozen=True, eq=False)
+class SoundClip(Recorded):
+    """Recording of a bounce and its truth."""
+
     scene: SoundScene  # the bounce
     background: Background  # what else is heard
     snr_db: float  # see `impact_ratio`
-    codec: Codec  # that the samples went through
 
     @property
     def impacts_s(self) -> Array:
@@ -782,41 +753,6 @@ class SoundClip:
     def restitutions(self) -> Array:
         """Restitution of each impact, shape (N,)."""
         return self.scene.history.restitutions[: len(self.impacts_s)]
-
-    @property
-    def contacts_s(self) -> Array:
-        """Duration of each contact, shape (N,)."""
-        return self.scene.history.contacts_s[: len(self.impacts_s)]
-
-    @property
-    def ball_name(self) -> str:
-        """Kind of ball."""
-        return self.scene.ball.kind
-
-    @property
-    def drag_1_m(self) -> float:
-        """Drag deceleration over speed squared."""
-        return self.scene.history.order.drag_1_m
-
-    @property
-    def height_m(self) -> float:
-        """Height of the fall."""
-        return self.scene.history.order.height_m
-
-    def write(self, path: Path) -> None:
-        """Write as .wav or .m4a; the first as it is, the second encoded (once more, if it was)."""
-        write_sound(self.samples, self.rate_hz, path)
-
-    def sound(self, name: str = "/audio", start_ns: int = 0) -> Sound:
-        """Return the sound in memory, as a reader gives it."""
-        return Sound(
-            name=name,
-            start_ns=start_ns,
-            rate_hz=float(self.rate_hz),
-            samples=self.samples,
-            file_rate_hz=float(self.rate_hz),
-            codec="pcm_s16le" if self.codec == "pcm" else "aac",
-        )
 
 
 def draw_sound(
@@ -854,11 +790,8 @@ def recorded(
     heard = scene.impacts_s[: scene.audible]
     off_db = impact_ratio(foreground, other, rate_hz, heard) - snr_db
     mixed = foreground + 10 ** (off_db / 20) * other
-    samples = scene.phone.recorded(mixed, rate_hz).astype(np.float32)
-    if codec == "aac":
-        samples = through_aac(samples, rate_hz)
-    samples.flags.writeable = False
-    return SoundClip(samples, rate_hz, scene, background, snr_db, codec)
+    samples = scene.phone.recorded(mixed, rate_hz, codec)
+    return SoundClip(samples, rate_hz, codec, scene, background, snr_db)
 
 
 def draw_scene(
@@ -922,47 +855,27 @@ def _end_s(history: BounceHistory, count: int, rng: np.random.Generator) -> floa
 
 # ---- Sounds that are no bounce of one ball, and must not be taken for one.
 
-
 _LASTS_S = (3.0, 8.0)
 _RATE_HZ = 48_000
 _NO_BOUNCE_SEEDS = 2_000_000
 
-# What strikes, in place of a ball: only its modes and its slap count.
-_HAND = SoundingBall(
-    *("hand", (0.1, 0.1), (1000.0, 1000.0), 0.5, (0.004, 0.004)),
-    *((0.0003, 0.001), (500.0, 2500.0), (0.001, 0.006), (1.0, 3.0)),
-)
-_HEEL = SoundingBall(
-    *("heel", (0.1, 0.1), (1000.0, 1000.0), 0.5, (0.004, 0.004)),
-    *((0.0005, 0.003), (80.0, 600.0), (0.004, 0.02), (0.1, 0.6)),
-)
-_KEY = SoundingBall(
-    *("key", (0.1, 0.1), (1000.0, 1000.0), 0.5, (0.004, 0.004)),
-    *((0.0001, 0.0004), (1500.0, 7000.0), (0.001, 0.006), (0.3, 1.0)),
-)
-_DROP = SoundingBall(
-    *("drop", (0.1, 0.1), (1000.0, 1000.0), 0.5, (0.004, 0.004)),
-    *((0.0001, 0.0006), (800.0, 9000.0), (0.0005, 0.004), (0.5, 2.0)),
-)
+
+def _striker(strike_s: Range, hz: Range, ring_s: Range, slap: Range) -> SoundingBall:
+    """Return what strikes, in place of a ball: only its modes and its slap count."""
+    return replace(SOUNDING_BALLS[0], strike_s=strike_s, ball_hz=hz, ball_ring_s=ring_s, slap=slap)
+
+
+_HAND = _striker((0.0003, 0.001), (500.0, 2500.0), (0.001, 0.006), (1.0, 3.0))
+_HEEL = _striker((0.0005, 0.003), (80.0, 600.0), (0.004, 0.02), (0.1, 0.6))
+_KEY = _striker((0.0001, 0.0004), (1500.0, 7000.0), (0.001, 0.006), (0.3, 1.0))
+_DROP = _striker((0.0001, 0.0006), (800.0, 9000.0), (0.0005, 0.004), (0.5, 2.0))
 
 
 @dataclass(frozen=True, eq=False)
-class NoBounce:
+class NoBounce(Recorded):
     """Recording of something else."""
 
     kind: str  # one of `NO_BOUNCES`
-    samples: NDArray[np.float32]  # full scale 1, shape (N,)
-    rate_hz: int  # of them
-    codec: str  # that they went through: "pcm" or "aac"
-
-    def write(self, path: Path) -> None:
-        """Write as .wav or .m4a."""
-        write_sound(self.samples, self.rate_hz, path)
-
-    def sound(self, name: str = "/audio", start_ns: int = 0) -> Sound:
-        """Return the sound in memory, as a reader gives it."""
-        rate_hz = float(self.rate_hz)
-        return Sound(name, start_ns, rate_hz, self.samples, rate_hz, codec=self.codec)
 
 
 # From the length [s] and random numbers, a sound before room and microphone.
@@ -976,14 +889,12 @@ def _struck(
     rng: np.random.Generator,
 ) -> Array:
     """Synthesise strikes at these times [s] with these speeds [m/s]."""
-    voice = _voice(striker, SOUNDING_TABLES[int(rng.integers(len(SOUNDING_TABLES)))], rng)
+    table = SOUNDING_TABLES[int(rng.integers(len(SOUNDING_TABLES)))]
+    voice = draw_voice(striker, table, 1.5, rng)
+    voice = replace(voice, uneven=float(rng.uniform(0.15, 0.4)))
     samples = np.zeros(int(lasts_s * _RATE_HZ))
     add_impacts(samples, _RATE_HZ, voice, events, rng)
     return samples
-
-
-def _voice(striker: SoundingBall, table: SoundingTable, rng: np.random.Generator) -> ImpactVoice:
-    return replace(draw_voice(striker, table, 1.5, rng), uneven=float(rng.uniform(0.15, 0.4)))
 
 
 def _beats(
@@ -1087,22 +998,14 @@ def _single(lasts_s: float, rng: np.random.Generator) -> Array:
     return _struck(kind, [(float(rng.uniform(0.3, lasts_s - 0.5)), 3.0)], lasts_s, rng)
 
 
-def _speech(lasts_s: float, rng: np.random.Generator) -> Array:
-    return speech(lasts_s, _RATE_HZ, rng)
-
-
-def _music(lasts_s: float, rng: np.random.Generator) -> Array:
-    return music(lasts_s, _RATE_HZ, rng)
-
-
-def _nothing(lasts_s: float, rng: np.random.Generator) -> Array:  # noqa: ARG001
+def _nothing(lasts_s: float, _: np.random.Generator) -> Array:
     return np.zeros(int(lasts_s * _RATE_HZ))
 
 
 # By name, what is heard. Of "noise" only the background is, of "silence" nothing at all.
 NO_BOUNCES: dict[str, Maker] = {
-    "speech": _speech,
-    "music": _music,
+    "speech": lambda lasts_s, rng: speech(lasts_s, _RATE_HZ, rng),
+    "music": lambda lasts_s, rng: music(lasts_s, _RATE_HZ, rng),
     "claps": _claps,
     "dribble": _dribble,
     "two balls": _two_balls,
@@ -1122,10 +1025,10 @@ def draw_negative(seed: int, number: int) -> NoBounce:
     rng = np.random.default_rng([_NO_BOUNCE_SEEDS + seed, number, *b"no bounce"])
     kind = list(NO_BOUNCES)[number % len(NO_BOUNCES)]
     lasts_s = float(rng.uniform(*_LASTS_S))
-    codec = "aac" if rng.random() < 1 / 3 else "pcm"
+    codec: Codec = "aac" if rng.random() < 1 / 3 else "pcm"
     made = NO_BOUNCES[kind](lasts_s, rng)
     if kind == "silence":
-        return NoBounce(kind, made.astype(np.float32), _RATE_HZ, codec)
+        return NoBounce(made.astype(np.float32), _RATE_HZ, codec, kind)
     phone, room = draw_phone(rng), draw_room(rng)
     heard = phone.band(room.heard(made, _RATE_HZ), _RATE_HZ)
     behind = "quiet" if kind != "noise" or rng.random() < 0.5 else "noise"
@@ -1134,15 +1037,10 @@ def draw_negative(seed: int, number: int) -> NoBounce:
     loud = float(np.max(np.abs(heard))) or 1.0
     weak_db = float(rng.uniform(30, 55))
     other *= loud * 10 ** (-weak_db / 20) / np.sqrt(np.mean(other**2))
-    samples = phone.recorded(heard + other, _RATE_HZ).astype(np.float32)
-    if codec == "aac":
-        samples = through_aac(samples, _RATE_HZ)
-    samples.flags.writeable = False
-    return NoBounce(kind, samples, _RATE_HZ, codec)
+    return NoBounce(phone.recorded(heard + other, _RATE_HZ, codec), _RATE_HZ, codec, kind)
 
 
 # ---- A bounce filmed and heard: a phone's mp4, its sound off by a constant; or a track.
-
 
 FILM_HZ = 30.0
 OFFSET_S = 0.040  # sound is early or late by up to this
@@ -1150,7 +1048,6 @@ TRACK_NOISE_M = 0.002  # standard deviation of a coordinate of a track of positi
 _SMALL_PX = SIZES_PX[:5]
 _MAX_FILM_S = 4.0  # from the release to the end of a film
 _EXPOSURES_S = (0.0, 0.008)
-_TICKS_HZ = 90_000
 _FILM_SEEDS = 3_000_000
 _START_NS = 1_700_000_000_000_000_000
 
@@ -1170,30 +1067,13 @@ class FilmedSound:
 
     def write(self, path: Path, *, with_sound: bool = True) -> None:
         """Write H.264 and AAC at 64 kbit/s, in an mp4."""
-        import av
-
-        width, height = (side // 2 * 2 for side in self.order.view.size_px)
-        with av.open(str(path), "w") as container:
-            options = {"crf": str(self.order.h264_factor), "preset": "ultrafast"}
-            film: Any = container.add_stream("libx264", rate=30, options=options)
-            film.width, film.height, film.pix_fmt = width, height, "yuv420p"
-            film.codec_context.time_base = Fraction(1, _TICKS_HZ)
-            film.thread_count = 1
-            audio: Any = None
-            if with_sound:
-                audio = container.add_stream("aac", rate=self.clip.rate_hz)
-                audio.bit_rate, audio.layout = AAC_BIT_S, "mono"
-            seconds = frame_seconds(self.order) + self.order.held_s
+        late = round(self.offset_s * self.clip.rate_hz)
+        heard = self.clip.samples[max(-late, 0) :], self.clip.rate_hz, max(late, 0)
+        size_px, factor = self.order.view.size_px, self.order.h264_factor
+        seconds = (frame_seconds(self.order) + self.order.held_s).tolist()
+        with mp4(path, size_px, factor, heard if with_sound else None) as add:
             for picture, second in zip(clip_frames(self.order), seconds, strict=True):
-                cut = np.ascontiguousarray(picture[:height, :width])
-                frame = av.VideoFrame.from_ndarray(cut, format="rgb24")
-                frame.pts, frame.time_base = round(second * _TICKS_HZ), Fraction(1, _TICKS_HZ)
-                container.mux(film.encode(frame))
-            container.mux(film.encode())
-            if audio is not None:
-                late = round(self.offset_s * self.clip.rate_hz)
-                kept = self.clip.samples[max(-late, 0) :]
-                add_sound(container, audio, kept, self.clip.rate_hz, max(late, 0))
+                add(picture, second)
 
 
 def film_with_sound(
@@ -1207,7 +1087,7 @@ def film_with_sound(
     rng = np.random.default_rng([_FILM_SEEDS + seed, number, *b"film"])
     scene = short_scene(rng, uneven)
     bounce = scene.history.order
-    ball = DroppedBall(bounce.height_m, bounce.restitution, bounce.slope, bounce.drag_1_m)
+    ball = RealBall(bounce.restitution, bounce.slope, bounce.drag_1_m, bounce.height_m)
     order = replace(
         draw_clip_of(ball, rng, _SMALL_PX),
         rate_hz=FILM_HZ,

@@ -1,8 +1,8 @@
 """Drop balls whose truth is known, by integrators that share nothing with the fits or simulators.
 
-`fallen` steps several balls at once, for recorded drops of a stranger's balls and of a table's.
-`run_ball` steps one among obstacles, in the hidden world of the bounce shot. `bounced` is in closed
-form, with contacts that last: the truth behind a sound. `drop_ball` is the truth behind a film.
+`fallen` steps balls in air that bounce on a plane. `run_ball` steps one among obstacles, with spin,
+in the hidden world of the bounce shot. `bounced` is in closed form, with contacts that last: the
+truth behind a sound.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.recorders.simulators.shot import ShotRig
 
-# Test targets are drawn from seeds above this one, training and validation from below.
-TEST_SEEDS = 7_000_000
+Range = tuple[float, float]
+
+TEST_SEEDS = 7_000_000  # test targets are drawn from seeds above it, training's from below
 
 
 # ---- Balls that bounce in air, several at once: those of a fit's derivatives.
 # dv/dt = -g - k v |v| is stepped by the classical Runge-Kutta method (Kutta 1901). A flight is cut
 # at its apex, where v |v| is not smooth, and the step onto the table is found by Newton's method.
 
-
 GRAVITY_M_S2 = 9.81
 
-MIN_SPEED_M_S = 0.05  # speed of an impact below which the restitution no longer changes
+MIN_SPEED_M_S = 0.05  # of the balls of a table: slower impacts have the restitution at this speed
 _STILL_M_S = 1e-3  # a ball that rebounds slower lies still: it would rise by 50 nm
 STEPS = 32  # of half a flight at the first impact's speed; of slower ones fewer, in proportion
 _MIN_STEPS = 2
@@ -38,7 +38,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 @dataclass(frozen=True)
 class RealBall:
-    """Ball and its drop height."""
+    """Ball and its drop."""
 
     restitution: float  # e, at the first impact's speed
     slope: float  # p of e(v) = e (v / v_first)^-p, kept from 0 to 1
@@ -49,6 +49,11 @@ class RealBall:
     def values(self) -> Array:
         """Parameters in the order of the fields, shape (4,)."""
         return np.array([self.restitution, self.slope, self.drag_1_m, self.drop_m])
+
+    @property
+    def fall_s(self) -> float:
+        """Duration of the fall without air."""
+        return float(np.sqrt(2 * self.drop_m / GRAVITY_M_S2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +88,13 @@ class Paths:
         return np.where(seconds <= 0, self.drops_m[:, None], heights)
 
 
-def fallen(balls: Array, until_s: float, steps: int = STEPS) -> Paths:
-    """Integrate balls (restitution, slope, drag [1/m], drop [m]), shape (B, 4), until they lie."""
+def fallen(
+    balls: Array, until_s: float, steps: int = STEPS, slowest_m_s: float = MIN_SPEED_M_S
+) -> Paths:
+    """Integrate balls (restitution, slope, drag [1/m], drop [m]), shape (B, 4), until they lie.
+
+    Below the slowest impact the restitution no longer changes.
+    """
     restitutions, slopes, drags, drops = np.asarray(balls, dtype=np.float64).T
     tape = _Tape(drags, np.zeros(len(drops)), drops, np.zeros(len(drops)))
     first = tape.fall(steps)
@@ -92,7 +102,7 @@ def fallen(balls: Array, until_s: float, steps: int = STEPS) -> Paths:
     rests = np.full(len(drops), np.inf)
     hit = first
     while True:
-        ratio = np.maximum(hit, MIN_SPEED_M_S) / first
+        ratio = np.maximum(hit, slowest_m_s) / first
         up = np.clip(restitutions * ratio**-slopes, 0.0, 1.0) * hit
         still = up < _STILL_M_S
         rests = np.where(still & np.isinf(rests), tape.time, rests)
@@ -111,6 +121,21 @@ def fallen(balls: Array, until_s: float, steps: int = STEPS) -> Paths:
         impact_speeds_m_s=np.array(speeds).T,
         rests_s=rests,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Fall:
+    """Motion of one ball."""
+
+    heights_m: Array  # over its contact, at the given times, shape (T,)
+    impacts_s: Array  # up to the last of these times, and some beyond, shape (N,)
+    impact_speeds_m_s: Array  # downward, shape (N,)
+
+
+def drop_ball(ball: RealBall, seconds: Array) -> Fall:
+    """Integrate one ball at increasing times after its release, shape (T,); held before."""
+    path = fallen(ball.values[None], float(seconds[-1]), slowest_m_s=_STILL_M_S)
+    return Fall(path.at(seconds[None])[0], path.impacts_s[0], path.impact_speeds_m_s[0])
 
 
 class _Tape:
@@ -178,9 +203,6 @@ def _stepped(height: Array, speed: Array, step: Array, drag: Array) -> tuple[Arr
 
 
 # ---- Recorded drops of balls that a stranger may have, and their logs.
-
-
-Range = tuple[float, float]
 
 # Of the stranger's balls, drawn evenly, the drag in its logarithm.
 RESTITUTIONS: Range = (0.3, 0.92)
@@ -310,7 +332,6 @@ def record_drop(
 
 # ---- Airless bound: what parabolas with one restitution can do at best.
 
-
 _STILL = 1e-3  # rebound over first impact, in speed, below which it lies
 _MAX_AIRLESS = 0.999  # restitution, so that it lies some day
 
@@ -361,7 +382,6 @@ def airless_off(restitution: float, drop: RecordedDrop) -> Array:
 
 
 # ---- Balls that people drop: their masses, sizes and restitutions, and drops of them.
-
 
 _AIR_20C_KG_M3 = 1.204  # at 20 degrees Celsius and 101.3 kPa
 HEIGHTS_M = (0.5, 1.0, 2.0)  # that each ball is dropped from
@@ -445,7 +465,6 @@ def table_drops(ball: TableBall, seed: int, count: int) -> Iterator[TableDrop]:
 # ---- Hidden world of the bounce shot: one ball among obstacles, unknown to the planner.
 # It is stepped at 960 Hz (midpoint rule) through quadratic drag; a step that would end inside of
 # something ends where the ball touches it. Friction at impacts is sliding, with spin.
-
 
 Vector = tuple[float, float, float]
 
@@ -539,11 +558,6 @@ def run_ball(
     return BallPath(np.array(positions), tuple(hits))
 
 
-def ground(height_m: float) -> Obstacle:
-    """Make a level floor without end."""
-    return Obstacle(lambda center: center[2] - height_m - RADIUS_M, lambda _: (0.0, 0.0, 1.0))
-
-
 def table(edge_m: float, heading_rad: float) -> Obstacle:
     """Make a level table at height 0 that ends in a sharp edge in that direction."""
     ahead, aside = math.cos(heading_rad), math.sin(heading_rad)
@@ -563,13 +577,13 @@ def table(edge_m: float, heading_rad: float) -> Obstacle:
     return Obstacle(gap, normal)
 
 
-def incline(tilt_rad: float, reach_m: float) -> Obstacle:
-    """Make a plane through the origin, down along x, that ends `reach_m` down its slope."""
+def plane(tilt_rad: float = 0.0, reach_m: float = math.inf, up_m: float = 0.0) -> Obstacle:
+    """Make a plane over the origin, down along x, that ends `reach_m` down its slope."""
     normal = (math.sin(tilt_rad), 0.0, math.cos(tilt_rad))
     down = (math.cos(tilt_rad), 0.0, -math.sin(tilt_rad))
 
     def gap(center: Vector) -> float:
-        away = _dot(center, normal)
+        away = _dot(center, normal) - up_m
         if _dot(center, down) > reach_m or away < -RADIUS_M:
             return math.inf
         return away - RADIUS_M
@@ -580,18 +594,17 @@ def incline(tilt_rad: float, reach_m: float) -> Obstacle:
 def ring(center_m: Vector, ring_m: float, rod_m: float, restitution: float) -> Obstacle:
     """Make a horizontal ring of a round rod: radius to the rod's middle, and of the rod."""
 
-    def from_rod(center: Vector) -> tuple[float, float, float, float]:
+    def from_rod(center: Vector) -> Vector:
         x, y = center[0] - center_m[0], center[1] - center_m[1]
-        across = math.hypot(x, y) or 1e-12
-        outward = 1 - ring_m / across
-        return x * outward, y * outward, center[2] - center_m[2], across
+        outward = 1 - ring_m / (math.hypot(x, y) or 1e-12)
+        return x * outward, y * outward, center[2] - center_m[2]
 
     def gap(center: Vector) -> float:
-        x, y, z, _ = from_rod(center)
-        return math.sqrt(x * x + y * y + z * z) - rod_m - RADIUS_M
+        away = from_rod(center)
+        return math.sqrt(_dot(away, away)) - rod_m - RADIUS_M
 
     def normal(center: Vector) -> Vector:
-        x, y, z, _ = from_rod(center)
+        x, y, z = from_rod(center)
         away = math.sqrt(x * x + y * y + z * z) or 1e-12
         return x / away, y / away, z / away
 
@@ -615,11 +628,7 @@ def _flown(position: Vector, velocity: Vector, seconds: float) -> tuple[Vector, 
 
 
 def _first_hit(
-    position: Vector,
-    velocity: Vector,
-    seconds: float,
-    end: Vector,
-    obstacles: Sequence[Obstacle],
+    position: Vector, velocity: Vector, seconds: float, end: Vector, obstacles: Sequence[Obstacle]
 ) -> tuple[int, float]:
     """Find by bisection which obstacle a step ends in, and when it touches; -1 for none."""
     found, soonest = -1, math.inf
@@ -649,38 +658,31 @@ def _impact(
     """Return velocity and spin of a solid sphere after an impact with Coulomb friction."""
     true_normal = obstacle.normal(position)
     normal = true_normal if ball.is_round else _tilted(true_normal, ball.off_round_deg, rng)
-    arm = (-RADIUS_M * normal[0], -RADIUS_M * normal[1], -RADIUS_M * normal[2])
-    turning = _cross(spin, arm)
-    touching = (velocity[0] + turning[0], velocity[1] + turning[1], velocity[2] + turning[2])
+    arm = _plus((0.0, 0.0, 0.0), normal, -RADIUS_M)
+    touching = _plus(velocity, _cross(spin, arm))
     inward = -_dot(touching, normal)
     if inward <= 0:
         return _kept_out(velocity, true_normal), spin
     kept = ball.restitution_at(inward) if obstacle.restitution is None else obstacle.restitution
-    if inward < _AT_REST_M_S:
-        kept = 0.0
-    push = (1 + kept) * inward
-    slip = tuple(touching[i] + inward * normal[i] for i in range(3))
-    slipping = math.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2)
+    push = (1 + (kept if inward >= _AT_REST_M_S else 0.0)) * inward
+    slip = _plus(touching, normal, inward)
+    slipping = math.sqrt(_dot(slip, slip))
     grip = min(FRICTION * push, slipping / 3.5) / slipping if slipping > 1e-9 else 0.0
-    kick = tuple(push * normal[i] - grip * slip[i] for i in range(3))
-    twist = _cross(arm, (kick[0], kick[1], kick[2]))
-    per_inertia = 1 / (0.4 * RADIUS_M**2)  # of a unit mass
-    after = (velocity[0] + kick[0], velocity[1] + kick[1], velocity[2] + kick[2])
-    turned = (
-        spin[0] + per_inertia * twist[0],
-        spin[1] + per_inertia * twist[1],
-        spin[2] + per_inertia * twist[2],
-    )
-    return _kept_out(after, true_normal), turned
+    kick = _plus(_plus((0.0, 0.0, 0.0), normal, push), slip, -grip)
+    turned = _plus(spin, _cross(arm, kick), 1 / (0.4 * RADIUS_M**2))  # inertia of a unit mass
+    return _kept_out(_plus(velocity, kick), true_normal), turned
 
 
 def _kept_out(velocity: Vector, normal: Vector) -> Vector:
     """Keep a ball from leaving into what it hit."""
-    x, y, z = velocity
     more = _MIN_OUT_M_S - _dot(velocity, normal)
-    if more <= 0:
-        return velocity
-    return x + more * normal[0], y + more * normal[1], z + more * normal[2]
+    return velocity if more <= 0 else _plus(velocity, normal, more)
+
+
+def _plus(one: Vector, other: Vector, factor: float = 1.0) -> Vector:
+    """Return `one + factor * other`."""
+    x, y, z = other
+    return one[0] + factor * x, one[1] + factor * y, one[2] + factor * z
 
 
 def _tilted(normal: Vector, sd_deg: float, rng: np.random.Generator) -> Vector:
@@ -707,7 +709,6 @@ def _cross(one: Vector, other: Vector) -> Vector:
 
 
 # ---- A shot in the hidden world, on the rig as it stands there.
-
 
 # Standard deviations of a robot's release, along each horizontal axis and in height.
 ACROSS_SD_M, HEIGHT_SD_M = 0.0015, 0.002
@@ -742,12 +743,20 @@ def take_shot(
     middle = (hoop.forward_m, 0.0, hoop.up_m)
     rod_m = hoop.rim_m / 2
     obstacles = (
-        incline(tilt, rig.plane.downhill_m),
+        plane(tilt, rig.plane.downhill_m),
         ring(middle, hoop.free_radius_m + rod_m, rod_m, _RIM_RESTITUTION),
     )
     low_m = hoop.up_m - 3 * RADIUS_M
     run = run_ball(ball, start, obstacles, _MAX_SHOT_S, rng, is_over=lambda at: at[2] < low_m)
-    crossings = _down_through(run.positions_m, hoop.up_m)
+    path = run.positions_m
+    above = path[:, 2] >= hoop.up_m
+    crossings: list[
+        tuple[float, float]
+    ] = []  # x and y where it comes down through the hoop's plane
+    for row in np.flatnonzero(above[:-1] & ~above[1:]):
+        part = (path[row, 2] - hoop.up_m) / (path[row, 2] - path[row + 1, 2])
+        x, y, _ = (path[row] + part * (path[row + 1] - path[row])).tolist()
+        crossings.append((x, y))
     misses = [math.hypot(x - hoop.forward_m, y) for x, y in crossings]
     return HiddenShot(
         is_through=bool(misses) and misses[-1] < hoop.free_radius_m,
@@ -756,19 +765,7 @@ def take_shot(
     )
 
 
-def _down_through(positions_m: np.ndarray, level_m: float) -> list[tuple[float, float]]:
-    """Return points (x, y) [m] where a path, shape (T, 3), comes down through a level."""
-    heights = positions_m[:, 2]
-    found = []
-    for row in np.flatnonzero((heights[:-1] >= level_m) & (heights[1:] < level_m)).tolist():
-        fraction = (heights[row] - level_m) / (heights[row] - heights[row + 1])
-        x, y, _ = positions_m[row] + fraction * (positions_m[row + 1] - positions_m[row])
-        found.append((float(x), float(y)))
-    return found
-
-
 # ---- A drop on a table in the hidden world, and the mishaps of those that leave it.
-
 
 DROP_M = 0.5  # how far the robot lets balls fall: about as fast as they will hit the plane
 HELD_S, FILMED_S = 0.25, 2.6  # filmed before and after the release: the fall takes 0.32 s
@@ -794,10 +791,6 @@ class HiddenDrop:
     path: BallPath  # the ball's, from its release on
     leaves_s: float | None = None  # when it goes out of view; None unless that is its mishap
     heading_rad: float = 0.0  # which way it moves then, from the camera's line of sight
-
-    def centers_m(self, seconds: Array) -> Array:
-        """Return the ball's centre at times after the release, (N, 3) [m], z over the table."""
-        return self.path.at(seconds)
 
     @property
     def impact_m_s(self) -> float:
@@ -848,19 +841,14 @@ def _run(
 ) -> BallPath:
     off = rng.normal(0.0, 1.0, 3) * (ACROSS_SD_M, ACROSS_SD_M, HEIGHT_SD_M)
     start: Vector = (float(off[0]), float(off[1]), RADIUS_M + DROP_M + float(off[2]))
-    speed = (
-        sideways_m_s * math.cos(heading_rad),
-        sideways_m_s * math.sin(heading_rad),
-        0.0,
-    )
-    things = (table(edge_m, heading_rad), ground(_FLOOR_M))
+    speed = (sideways_m_s * math.cos(heading_rad), sideways_m_s * math.sin(heading_rad), 0.0)
+    things = (table(edge_m, heading_rad), plane(up_m=_FLOOR_M))
     return run_ball(ball, start, things, FILMED_S, rng, speed)
 
 
 # ---- Touches, speeds and contact times of a bounce: the truth behind a sound.
 # Between two contacts the ball flies in air that slows it by k v²; V = sqrt(g / k) is its final
 # speed. The next flight begins when the contact ends.
-
 
 MIN_HEARD_M_S = 0.06  # a ball that touches more slowly is left lying: nobody hears it
 _MAX_BOUNCES = 60
@@ -928,24 +916,33 @@ def bounced(order: BounceOrder) -> BounceHistory:
         kept = min(by_law * float(np.exp(own[len(rows)])), _MAX_RESTITUTION)
         contact = order.contact_s * speed**_HERTZ
         rows.append((clock, contact, speed, kept, by_law))
-        rise_s, apex_m = rise_of(kept * speed, drag)
-        fall_s, speed = fall_of(apex_m, drag)
-        clock += contact + rise_s + fall_s
+        flight_s, speed = flight_of(kept * speed, drag)
+        clock += contact + flight_s
     return BounceHistory(order, *np.array(rows).reshape(-1, 5).T)
 
 
-def rise_of(speed_m_s: float, drag_1_m: float) -> tuple[float, float]:
+Flight = tuple[float, float]
+
+
+def rise_of(speed_m_s: float, drag_1_m: float, gravity_m_s2: float = GRAVITY_M_S2) -> Flight:
     """Return duration V / g atan(v / V) [s] and height ln(1 + v² / V²) / 2k [m] of a rise."""
-    final = np.sqrt(GRAVITY_M_S2 / drag_1_m)
+    final = np.sqrt(gravity_m_s2 / drag_1_m)
     ratio = speed_m_s / final
-    return float(final / GRAVITY_M_S2 * np.arctan(ratio)), float(np.log1p(ratio**2) / 2 / drag_1_m)
+    return float(final / gravity_m_s2 * np.arctan(ratio)), float(np.log1p(ratio**2) / 2 / drag_1_m)
 
 
-def fall_of(height_m: float, drag_1_m: float) -> tuple[float, float]:
+def fall_of(height_m: float, drag_1_m: float, gravity_m_s2: float = GRAVITY_M_S2) -> Flight:
     """Return duration V / g arcosh(exp(k h)) [s] and last speed [m/s] of a fall from rest."""
-    final = np.sqrt(GRAVITY_M_S2 / drag_1_m)
+    final = np.sqrt(gravity_m_s2 / drag_1_m)
     speed = final * np.sqrt(-np.expm1(-2 * drag_1_m * height_m))
-    return float(final / GRAVITY_M_S2 * np.arctanh(speed / final)), float(speed)
+    return float(final / gravity_m_s2 * np.arctanh(speed / final)), float(speed)
+
+
+def flight_of(speed_m_s: float, drag_1_m: float, gravity_m_s2: float = GRAVITY_M_S2) -> Flight:
+    """Return duration [s] and last speed [m/s] of a flight from the table back to it."""
+    rise_s, apex_m = rise_of(speed_m_s, drag_1_m, gravity_m_s2)
+    fall_s, speed = fall_of(apex_m, drag_1_m, gravity_m_s2)
+    return rise_s + fall_s, speed
 
 
 def _fallen_m(seconds: Array, drag_1_m: float) -> Array:
@@ -961,93 +958,3 @@ def _flight_m(seconds: Array, up_m_s: float, drag_1_m: float) -> Array:
     left = np.clip(rise_s - seconds, 0.0, None)
     rising = apex_m + np.log(np.cos(GRAVITY_M_S2 * left / final)) / drag_1_m
     return np.where(left > 0, rising, apex_m - _fallen_m(np.maximum(seconds - rise_s, 0), drag_1_m))
-
-
-# ---- A bouncing ball at increasing times: a truth that no fit shares.
-# The fit has the bounce in closed form (`recorders/simulators/ball.py`). Here it is stepped by
-# Runge-Kutta, and each impact is met within its step by Newton's method.
-
-
-_STEPS_A_FALL = 100  # in air. Without it one step is exact, however long.
-_AT_REST = 1e-4  # fraction of the first impact's speed below which the ball lies still
-
-
-@dataclass(frozen=True)
-class DroppedBall:
-    """Ball and its drop."""
-
-    drop_m: float  # height over its contact at the start
-    restitution: float  # at the first impact
-    slope: float = 0.0  # p of e_n = e_1 (v_n / v_1)^-p; no impact gives more than it takes
-    drag_1_m: float = 0.0  # deceleration by the air over speed squared
-    speed_m_s: float = 0.0  # at the start, upward
-
-    @property
-    def fall_s(self) -> float:
-        """Duration of a fall from rest without air."""
-        return float(np.sqrt(2 * self.drop_m / GRAVITY_M_S2))
-
-
-@dataclass(frozen=True, eq=False)
-class Fall:
-    """Motion of a dropped ball."""
-
-    heights_m: Array  # over its contact, at the given times, shape (T,)
-    impacts_s: Array  # up to the last of these times, or to the end of all bounces, shape (N,)
-    impact_speeds_m_s: Array  # downward, shape (N,)
-
-
-def drop_ball(ball: DroppedBall, seconds: Array) -> Fall:
-    """Integrate the ball at increasing times after its start, shape (T,); held before."""
-    heights = np.full(len(seconds), ball.drop_m)
-    longest = ball.fall_s / _STEPS_A_FALL if ball.drag_1_m else np.inf
-    clock, height, speed = 0.0, ball.drop_m, ball.speed_m_s
-    impacts: list[tuple[float, float]] = []
-    resting = False
-    for index in np.flatnonzero(seconds > 0):
-        while not resting and clock < seconds[index]:
-            step = min(float(seconds[index]) - clock, longest)
-            after, faster = _step(height, speed, step, ball.drag_1_m)
-            if after >= 0:
-                clock, height, speed = clock + step, after, faster
-                continue
-            step, hit = _contact(height, speed, step, ball.drag_1_m)
-            impacts.append((clock + step, hit))
-            clock, height, speed = clock + step, 0.0, _rebound(ball, hit, impacts[0][1])
-            resting = speed <= _AT_REST * impacts[0][1]
-        heights[index] = 0.0 if resting else height
-    times, speeds = np.array(impacts).reshape(-1, 2).T
-    return Fall(heights, times, speeds)
-
-
-def _rebound(ball: DroppedBall, hit: float, first: float) -> float:
-    if hit <= 0:
-        return 0.0
-    return min(ball.restitution * (hit / first) ** -ball.slope, 1.0) * hit
-
-
-def _step(height: float, speed: float, step: float, drag: float) -> tuple[float, float]:
-    """Return height and upward speed one step later (Runge-Kutta-Nyström, fourth order)."""
-
-    def accelerated(velocity: float) -> float:
-        return -GRAVITY_M_S2 - drag * velocity * abs(velocity)
-
-    half = step / 2
-    first = accelerated(speed)
-    second = accelerated(speed + half * first)
-    third = accelerated(speed + half * second)
-    fourth = accelerated(speed + step * third)
-    gained = step / 6 * (first + 2 * second + 2 * third + fourth)
-    went = step * speed + step**2 / 6 * (first + second + third)
-    return height + went, speed + gained
-
-
-def _contact(height: float, speed: float, most: float, drag: float) -> tuple[float, float]:
-    """Find by Newton's method when a step touches, and how fast (downward)."""
-    step = (speed + np.sqrt(speed**2 + 2 * GRAVITY_M_S2 * height)) / GRAVITY_M_S2
-    step = min(float(step), most)
-    for _ in range(6):  # Newton; exact at once without air
-        after, faster = _step(height, speed, step, drag)
-        if faster < 0:
-            step = min(max(step - after / faster, 0.0), most)
-    return step, max(-_step(height, speed, step, drag)[1], 0.0)

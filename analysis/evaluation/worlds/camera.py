@@ -8,37 +8,121 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.analysis.evaluation.worlds.ball import (
+    DROP_M,
     GRAVITY_M_S2,
+    RADIUS_M,
     TEST_SEEDS,
-    DroppedBall,
     Fall,
+    Range,
+    RealBall,
     RecordedDrop,
     drop_ball,
 )
 from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.episode import Array
-from tunenet_logs.recorders.simulators.camera import PinholeCamera
 
-# ---- Camera of a synthetic clip: a pinhole, which may be rolled, and where it may stand.
+Mask = NDArray[np.bool_]
 
+# ---- A pinhole: of clips, of films in the hidden world, and of tracks that are not rendered.
+
+SIZE_PX = (320, 240)  # width and height of a picture
+
+
+@dataclass(frozen=True)
+class View:
+    """Pinhole camera without distortion, which may be turned about its optical axis."""
+
+    position_m: tuple[float, float, float]  # where it stands
+    aim_m: tuple[float, float, float]  # the point in the middle of its picture
+    focal_px: float
+    size_px: tuple[int, int] = SIZE_PX
+    roll_rad: float = 0.0  # clockwise turn of the picture
+
+    @property
+    def middle_px(self) -> Array:
+        """Principal point, shape (2,); the first pixel's centre is 0, 0."""
+        return (np.array(self.size_px) - 1) / 2
+
+    @property
+    def camera_from_world(self) -> Array:
+        """Rotation whose rows are the image's right and down, and forward, shape (3, 3)."""
+        forward = np.subtract(self.aim_m, self.position_m)
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        image = _turn(self.roll_rad) @ np.array([right, np.cross(forward, right)])
+        return np.vstack([image, forward])
+
+    def seen_from_camera(self, points_m: Array) -> Array:
+        """Transform points to camera axes [m], shape (N, 3)."""
+        return (points_m - np.array(self.position_m)) @ self.camera_from_world.T
+
+    def depths_m(self, points_m: Array) -> Array:
+        """Return how far points, (N, 3), are along the optical axis, NaN behind; shape (N,)."""
+        depth = self.seen_from_camera(points_m)[:, 2]
+        return np.where(depth > 0, depth, np.nan)
+
+    def image_from_world(self, points_m: Array) -> Array:
+        """Project points, (N, 3), to pixels, shape (N, 2); NaN behind."""
+        seen = self.seen_from_camera(points_m)[:, :2]
+        return self.middle_px + self.focal_px * seen / self.depths_m(points_m)[:, None]
+
+    def radius_px(self, points_m: Array, radius_m: float) -> Array:
+        """Return a ball's approximate image radius at points, (N, 3), NaN behind; shape (N,)."""
+        return self.focal_px * radius_m / self.depths_m(points_m)
+
+    def shows(self, points_m: Array, radius_m: float) -> NDArray[np.bool_]:
+        """Check whether a ball is wholly in view at these points, of shape (N, 3); shape (N,)."""
+        pixels, margin = (
+            self.image_from_world(points_m),
+            self.radius_px(points_m, radius_m)[:, None],
+        )
+        far = np.array(self.size_px) - 1 - margin
+        return np.all((pixels >= margin) & (pixels <= far), axis=1)  # NaN is not
+
+    def plumb_px(self, drop_m: float) -> Array:
+        """Return the image vector from the start of a fall to its end at height 0, (2,)."""
+        top, low = self.image_from_world(upright(np.array([drop_m, 0.0])))
+        return low - top
+
+    def directions(self, columns: NDArray[Any], rows: NDArray[Any]) -> NDArray[np.float32]:
+        """Return viewing directions of pixels, camera axes, (H, W, 3); 1 forward."""
+        looks = np.ones((len(rows), len(columns), 3), np.float32)
+        x, y = self.middle_px
+        looks[:, :, 0] = (columns - x) / self.focal_px
+        looks[:, :, 1] = ((rows - y) / self.focal_px)[:, None]
+        return looks
+
+
+def upright(heights_m: Array) -> Array:
+    """Return points straight over the contact, shape (T, 3) [m], of heights, shape (T,)."""
+    nothing = np.zeros_like(heights_m)
+    return np.column_stack([nothing, nothing, heights_m])
+
+
+def _turn(angle: float) -> Array:
+    """Return the rotation by an angle [rad], shape (2, 2)."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, -sin], [sin, cos]])
+
+
+def _focal_px(fov_deg: float, height_px: int = SIZE_PX[1]) -> float:
+    return float(height_px / 2 / np.tan(np.radians(fov_deg) / 2))
+
+
+# ---- Cameras before a clip's ball, whose contact with the floor is its radius over it.
 
 # Width and height: webcams and phones, upright ones too.
 SIZES_PX = (
-    (320, 240),
-    (480, 270),
-    (480, 640),
-    (640, 360),
-    (640, 480),
-    (720, 1280),
-    (848, 480),
-    (960, 540),
-    (1280, 720),
-    (1280, 960),
+    *((320, 240), (480, 270), (480, 640), (640, 360), (640, 480)),
+    *((720, 1280), (848, 480), (960, 540), (1280, 720), (1280, 960)),
 )
 
 # Where people stand: lens, distance [drop heights], elevation, and standard deviation of the roll.
@@ -54,49 +138,6 @@ _MIN_EYE_M = 0.05  # height of the camera over the floor
 _TRIES = 60  # before a ball of another size is drawn
 
 
-@dataclass(frozen=True)
-class View:
-    """Pinhole camera turned about its optical axis."""
-
-    camera: PinholeCamera  # where from, upright
-    roll_rad: float  # clockwise turn of the picture
-
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """Width and height."""
-        return self.camera.size_px
-
-    @property
-    def middle_px(self) -> Array:
-        """Principal point, shape (2,)."""
-        return (np.array(self.size_px) - 1) / 2
-
-    @property
-    def camera_from_world(self) -> Array:
-        """Rotation whose rows are the image's right and down, and forward, shape (3, 3)."""
-        cos, sin = np.cos(self.roll_rad), np.sin(self.roll_rad)
-        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        return turn @ self.camera.camera_from_world
-
-    def seen_from_camera(self, points_m: Array) -> Array:
-        """Transform points to camera axes [m], shape (N, 3)."""
-        return (points_m - np.array(self.camera.position_m)) @ self.camera_from_world.T
-
-    def image_from_world(self, points_m: Array) -> Array:
-        """Project points to pixels, shape (N, 2); the first pixel's centre is 0, 0."""
-        seen = self.seen_from_camera(points_m)
-        return self.middle_px + self.camera.focal_px * seen[:, :2] / seen[:, 2:]
-
-    def directions(self, box: tuple[int, int, int, int]) -> NDArray[np.float32]:
-        """Return viewing directions of a box's pixels, camera axes, (H, W, 3); 1 forward."""
-        left, top, right, bottom = box
-        looks = np.ones((bottom - top, right - left, 3), np.float32)
-        x, y = self.middle_px
-        looks[:, :, 0] = (np.arange(left, right) - x) / self.camera.focal_px
-        looks[:, :, 1] = ((np.arange(top, bottom) - y) / self.camera.focal_px)[:, None]
-        return looks
-
-
 def random_view(
     rng: np.random.Generator,
     drop_m: float,
@@ -105,36 +146,67 @@ def random_view(
 ) -> View | None:
     """Draw a camera with the whole fall in view, at a fair size; None after `_TRIES`."""
     size = sizes_px[int(rng.integers(len(sizes_px)))]
-    path = np.array([[0.0, 0.0, radius_m], [0.0, 0.0, radius_m + drop_m]])
+    path = upright(radius_m + np.array([0.0, drop_m]))
     for _ in range(_TRIES):
         distance = drop_m * rng.uniform(*_VIEW_AWAY) + 4 * radius_m
         elevation = np.radians(rng.uniform(*_VIEW_ELEVATION_DEG))
         aim = radius_m + drop_m * rng.uniform(0.35, 0.6)
         position = (-distance * np.cos(elevation), 0.0, aim + distance * np.sin(elevation))
         target = (0.0, drop_m * rng.normal(0.0, 0.15), aim)
-        camera = PinholeCamera(position, target, size, rng.uniform(*_VIEW_FOV_DEG))
-        view = View(camera, float(np.radians(rng.normal(0.0, _ROLL_DEG))))
-        if position[2] > max(_MIN_EYE_M, 1.5 * radius_m) and _shows(view, path, radius_m):
+        focal = _focal_px(rng.uniform(*_VIEW_FOV_DEG), size[1])
+        view = View(position, target, focal, size, float(np.radians(rng.normal(0.0, _ROLL_DEG))))
+        if position[2] <= max(_MIN_EYE_M, 1.5 * radius_m):
+            continue
+        pixels, radius_px = view.image_from_world(path), view.radius_px(path, radius_m)
+        margin = _VIEW_MARGIN_PX + 1.2 * radius_px.max()
+        inside = (pixels > margin) & (pixels < np.array(size) - 1 - margin)
+        least, most = _RADIUS_PX
+        fair = least < radius_px.min() and radius_px.max() < min(most, 0.08 * max(size))
+        if inside.all() and fair and np.ptp(pixels[:, 1]) > _MIN_SPAN * size[1]:
             return view
     return None
 
 
-def _shows(view: View, path_m: Array, radius_m: float) -> bool:
-    pixels = view.image_from_world(path_m)
-    radius_px = view.camera.radius_px(path_m, radius_m)
-    margin = _VIEW_MARGIN_PX + 1.2 * radius_px.max()
-    inside = (pixels > margin) & (pixels < np.array(view.size_px) - 1 - margin)
-    least, most = _RADIUS_PX
-    fair = least < radius_px.min() and radius_px.max() < min(most, 0.08 * max(view.size_px))
-    return bool(inside.all() and fair and np.ptp(pixels[:, 1]) > _MIN_SPAN * view.size_px[1])
+# ---- Cameras before the hidden world's drops.
+
+HIDDEN_SIZE_PX = (640, 480)
+_HIDDEN_AWAY_M = (1.5, 3.0)
+_HIDDEN_ELEVATION_DEG = (-5.0, 35.0)
+_HIDDEN_FOV_DEG = (36.0, 62.0)
+_HIDDEN_ROLL_DEG = 2.0
+_HIDDEN_MARGIN_PX = 20.0
+_LOWEST_M = 0.1
+
+
+def drop_view(rng: np.random.Generator) -> View:
+    """Draw a camera 1.5 to 3 m away with the whole fall in view, at a fair size."""
+    fall_m = upright(RADIUS_M + np.array([0.0, DROP_M]))
+    while True:
+        distance = rng.uniform(*_HIDDEN_AWAY_M)
+        elevation = np.radians(rng.uniform(*_HIDDEN_ELEVATION_DEG))
+        aim = DROP_M * rng.uniform(0.35, 0.6)
+        up = max(aim + distance * np.sin(elevation), _LOWEST_M)
+        position = (float(-distance * np.cos(elevation)), 0.0, float(up))
+        target = (0.0, float(rng.normal(0.0, 0.1)), float(aim))
+        focal = _focal_px(rng.uniform(*_HIDDEN_FOV_DEG), HIDDEN_SIZE_PX[1])
+        roll = float(np.radians(rng.normal(0.0, _HIDDEN_ROLL_DEG)))
+        view = View(position, target, focal, HIDDEN_SIZE_PX, roll)
+        span_px = np.ptp(view.image_from_world(fall_m)[:, 1])
+        if is_well_inside(view, fall_m) and span_px > _MIN_SPAN * HIDDEN_SIZE_PX[1]:
+            return view
+
+
+def is_well_inside(view: View, points_m: Array) -> bool:
+    """Check whether points, shape (N, 3), are some way from the picture's edge."""
+    pixels = view.image_from_world(points_m)
+    far = np.array(view.size_px) - 1 - _HIDDEN_MARGIN_PX
+    return bool(np.all((pixels > _HIDDEN_MARGIN_PX) & (pixels < far)))
 
 
 # ---- Track of a recorded drop before a camera, without rendering it.
 # A pinhole stands anywhere from which a person films a drop. Places have noise and are not rounded.
 
-
 NOISE_PX = 0.3  # standard deviation of a coordinate
-SIZE_PX = (320, 240)  # width and height of a picture
 # Of the camera: distance [drop heights] and elevation, both seen from the middle of the drop, the
 # drop over the picture's height, and how far the ball is from the middle column at most.
 _FILMED_AWAY = (1.5, 5.0)
@@ -148,53 +220,51 @@ _PLUMB_DEG, _FILMED_RADIUS_NOISE = 1.0, 0.03
 
 def filmed(drop: RecordedDrop, radius_m: float, rng: np.random.Generator) -> Track:
     """Simulate the track of the ball; `drop` says when a picture is taken."""
-    pixels, depth_m, focal_px = _seen(drop, rng)
-    noise = rng.normal(0.0, 1.0, (len(pixels), 3))
-    places = pixels[2:] + NOISE_PX * noise[2:, :2]
-    radii = focal_px * radius_m / depth_m[2:] * (1 + _FILMED_RADIUS_NOISE * noise[2:, 2])
-    inside = np.all((places > 0) & (places < np.array(SIZE_PX) - 1), axis=1)
-    places[~inside], radii[~inside] = np.nan, np.nan
-    plumb = (pixels[1] - pixels[0]) * GRAVITY_M_S2 / drop.ball.drop_m
-    return Track(
-        stamps_ns=drop.stamps_ns,
-        places_px=places,
-        radius_px=radii,
-        confidence=inside.astype(np.float64),
-        size_px=SIZE_PX,
-        gravity_px=_turn(np.radians(rng.normal(0.0, _PLUMB_DEG))) @ plumb,
-        colour=(200, 120, 60),
-    )
-
-
-def _seen(drop: RecordedDrop, rng: np.random.Generator) -> tuple[Array, Array, float]:
-    """Return pixels, shape (2 + T, 2), depths, shape (2 + T,) [m], and focal length [px].
-
-    Of the release and the contact, then of the ball in each picture.
-    """
     fall_m = drop.ball.drop_m
+    # of the release and the contact, then of the ball in each picture
     heights = np.concatenate([[fall_m, 0.0], drop.truth_m(drop.seconds)])
     away = fall_m * rng.uniform(*_FILMED_AWAY)
     elevation = np.radians(rng.uniform(*_FILMED_ELEVATION_DEG))
     elevation = max(elevation, -np.arctan2(0.4 * fall_m, away))  # not from under the table
     up = heights - fall_m / 2
-    depth = away - up * np.sin(elevation)
-    rows = -up * np.cos(elevation) / depth
-    focal = rng.uniform(*_IN_PICTURE) * SIZE_PX[1] / float(rows[1] - rows[0])
-    down = focal * (rows - (rows[0] + rows[1]) / 2)
-    across = np.full_like(down, rng.uniform(-_ASIDE_PX, _ASIDE_PX)) * away / depth
-    turned = np.column_stack([across, down]) @ _turn(np.radians(rng.normal(0.0, _ROLL_DEG))).T
-    return turned + (np.array(SIZE_PX) - 1) / 2, depth, focal
+    depth_m = away - up * np.sin(elevation)
+    rows = -up * np.cos(elevation) / depth_m
+    focal_px = rng.uniform(*_IN_PICTURE) * SIZE_PX[1] / float(rows[1] - rows[0])
+    down = focal_px * (rows - (rows[0] + rows[1]) / 2)
+    across = np.full_like(down, rng.uniform(-_ASIDE_PX, _ASIDE_PX)) * away / depth_m
+    pixels = np.column_stack([across, down]) @ _turn(np.radians(rng.normal(0.0, _ROLL_DEG))).T
+    pixels += (np.array(SIZE_PX) - 1) / 2
+    noise = rng.normal(0.0, 1.0, (len(pixels), 3))
+    places = pixels[2:] + NOISE_PX * noise[2:, :2]
+    radii = focal_px * radius_m / depth_m[2:] * (1 + _FILMED_RADIUS_NOISE * noise[2:, 2])
+    lost = ~np.all((places > 0) & (places < np.array(SIZE_PX) - 1), axis=1)
+    plumb = (pixels[1] - pixels[0]) * GRAVITY_M_S2 / drop.ball.drop_m
+    gravity_px = _turn(np.radians(rng.normal(0.0, _PLUMB_DEG))) @ plumb
+    return found_track(drop.stamps_ns, places, radii, lost, gravity_px)
 
 
-def _turn(angle: float) -> Array:
-    """Return the rotation by an angle [rad], shape (2, 2)."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.array([[cos, -sin], [sin, cos]])
+def found_track(
+    stamps_ns: NDArray[np.int64],
+    places_px: Array,
+    radius_px: Array,
+    lost: Mask,
+    gravity_px: Array,
+    size_px: tuple[int, int] = SIZE_PX,
+) -> Track:
+    """Make a track of a grey ball, which is not found where it is lost, shape (T,)."""
+    return Track(
+        stamps_ns=stamps_ns,
+        places_px=np.where(lost[:, None], np.nan, places_px),
+        radius_px=np.where(lost, np.nan, radius_px),
+        confidence=(~lost).astype(np.float64),
+        size_px=size_px,
+        gravity_px=gravity_px,
+        colour=(128, 128, 128),
+    )
 
 
 # ---- Viewpoints before a falling ball: the paper's rig, and anywhere.
 # The world's origin is the middle of the ball where it touches the table, z is up.
-
 
 PAPER_RADIUS_M = 0.5
 # The paper's is 40 degrees, at which a fifth of its drops are cut off by the frame.
@@ -211,50 +281,7 @@ _VIEWPOINT_FOV_DEG = (15.0, 90.0)  # of any camera: see `any_viewpoint`
 _VIEWPOINT_MARGIN_PX = 2.0  # between a ball and the frame, at the start and at the contact
 
 
-@dataclass(frozen=True)
-class Viewpoint:
-    """Pinhole camera without distortion."""
-
-    position_m: tuple[float, float, float]  # where it stands
-    aim_m: tuple[float, float, float]  # the point in the middle of its picture
-    focal_px: float  # focal length
-    roll_deg: float = 0.0  # by which its picture is turned
-
-    def image_from_world(self, points_m: Array) -> tuple[Array, Array]:
-        """Project points, (N, 3), to pixels, (N, 2), and depths, (N,); NaN behind."""
-        ahead = np.subtract(self.aim_m, self.position_m)
-        heading = np.arctan2(ahead[1], ahead[0])
-        rise = np.arctan2(ahead[2], np.hypot(ahead[0], ahead[1]))
-        offset = points_m - np.array(self.position_m)
-        along = offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading)
-        right = offset[:, 0] * np.sin(heading) - offset[:, 1] * np.cos(heading)
-        depth = along * np.cos(rise) + offset[:, 2] * np.sin(rise)
-        down = along * np.sin(rise) - offset[:, 2] * np.cos(rise)
-        roll = np.radians(self.roll_deg)
-        columns = right * np.cos(roll) - down * np.sin(roll)
-        rows = right * np.sin(roll) + down * np.cos(roll)
-        scale = self.focal_px / np.where(depth > 0, depth, np.nan)
-        middle = (np.array(SIZE_PX) - 1) / 2
-        return middle + np.column_stack([columns, rows]) * scale[:, None], depth
-
-    def radius_px(self, depth_m: Array, radius_m: float) -> Array:
-        """Return a ball's approximate image radius at these depths [m], NaN behind, (N,)."""
-        return self.focal_px * radius_m / np.where(depth_m > 0, depth_m, np.nan)
-
-    def shows(self, points_m: Array, radius_m: float) -> NDArray[np.bool_]:
-        """Check whether a ball is wholly in view at these points, of shape (N, 3); shape (N,)."""
-        pixels, depth = self.image_from_world(points_m)
-        margin = self.radius_px(depth, radius_m)[:, None]
-        far = np.array(SIZE_PX) - 1 - margin
-        return np.all((pixels >= margin) & (pixels <= far), axis=1)  # NaN is not
-
-    def plumb_px(self, drop_m: float) -> Array:
-        """Return the image vector from the start of a fall to the contact, shape (2,) [px]."""
-        (top, low), _ = self.image_from_world(np.array([[0.0, 0.0, drop_m], [0.0, 0.0, 0.0]]))
-        return low - top
-
-
-def paper_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) -> Viewpoint:
+def paper_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) -> View:
     """Draw the paper's camera, with all of the drop in view.
 
     r ~ U(5, 10) m, theta ~ U(0, 2 pi), z ~ U(5, 8) m, aimed at (0, 0, 2) m over the table (Allevato
@@ -265,12 +292,12 @@ def paper_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) ->
         up = rng.uniform(*_PAPER_HEIGHT_M)
         position = (reach * np.cos(theta), reach * np.sin(theta), up - radius_m)
         focal = _focal_px(rng.uniform(*PAPER_FOV_DEG))
-        view = Viewpoint(position, (0.0, 0.0, _PAPER_AIM_M - radius_m), focal)
+        view = View(position, (0.0, 0.0, _PAPER_AIM_M - radius_m), focal)
         if _shows_the_drop(view, drop_m, radius_m):
             return view
 
 
-def any_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) -> Viewpoint:
+def any_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) -> View:
     """Draw a camera from which a person films a drop, so that it takes U(.4, .85) of the view.
 
     0.8 to 4 drop heights away (evenly in the logarithm), 25 degrees below to 50 above the middle of
@@ -288,34 +315,23 @@ def any_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) -> V
             up + away * np.sin(above),
         )
         aim = (float(aside[0]), float(aside[1]), up)
-        roll = float(rng.normal(0.0, _VIEWPOINT_ROLL_DEG))
+        roll = float(np.radians(rng.normal(0.0, _VIEWPOINT_ROLL_DEG)))
         wanted = rng.uniform(*_DROP_IN_PICTURE) * SIZE_PX[1]
-        focal = wanted / np.linalg.norm(Viewpoint(position, aim, 1.0).plumb_px(drop_m))
-        view = Viewpoint(position, aim, float(focal), roll)
-        fits = (
-            _focal_px(_VIEWPOINT_FOV_DEG[1]) <= focal <= _focal_px(_VIEWPOINT_FOV_DEG[0])
-            and position[2] > 0
-        )
+        focal = float(wanted / np.linalg.norm(View(position, aim, 1.0).plumb_px(drop_m)))
+        view = View(position, aim, focal, roll_rad=roll)
+        longest, shortest = map(_focal_px, _VIEWPOINT_FOV_DEG)
+        fits = shortest <= focal <= longest and position[2] > 0
         if fits and _shows_the_drop(view, drop_m, radius_m):
             return view
 
 
-def _focal_px(fov_deg: float) -> float:
-    return float(SIZE_PX[1] / 2 / np.tan(np.radians(fov_deg) / 2))
-
-
-def _shows_the_drop(view: Viewpoint, drop_m: float, radius_m: float) -> bool:
-    path = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, drop_m]])
-    _, depth = view.image_from_world(path)
-    spare_m = _VIEWPOINT_MARGIN_PX * float(depth.max()) / view.focal_px
+def _shows_the_drop(view: View, drop_m: float, radius_m: float) -> bool:
+    path = upright(np.array([0.0, drop_m]))
+    spare_m = _VIEWPOINT_MARGIN_PX * float(view.depths_m(path).max()) / view.focal_px
     return bool(view.shows(path, radius_m + spare_m).all())
 
 
 # ---- Sets of tracks: rigs, balls, and what a tracker makes of a scene.
-
-
-Mask = NDArray[np.bool_]
-Range = tuple[float, float]
 
 NOISES_PX = (0.3, 1.0)  # standard deviations of a coordinate: of a good tracker, and of a poor one
 NARROW: Range = (0.3, 0.7)
@@ -366,7 +382,7 @@ class BallRanges:
     """Ranges of the ball's parameters, each drawn uniformly."""
 
     restitution: Range  # at the first impact
-    slope: Range = (0.0, 0.0)  # see `DroppedBall`
+    slope: Range = (0.0, 0.0)  # see `RealBall`
     drag_1_m: float = 0.0  # likewise, of every ball
 
 
@@ -374,9 +390,9 @@ class BallRanges:
 class TrackScene:
     """All that determines a track: a fault changes one thing of it."""
 
-    ball: DroppedBall  # its restitution is the truth
+    ball: RealBall  # its restitution is the truth
     radius_m: float  # of the ball
-    view: Viewpoint  # the camera
+    view: View
     seconds: Array  # of the pictures, after the release, shape (T,)
     lost: Mask  # pictures in which the tracker does not find the ball, shape (T,)
     noise_px: float  # standard deviation of a coordinate, before it is rounded
@@ -400,7 +416,7 @@ def draw_scene(
     )
     drop_m = float(rng.uniform(*which.drop_m))
     restitution, slope = rng.uniform(*balls.restitution), rng.uniform(*balls.slope)
-    ball = DroppedBall(drop_m, float(restitution), float(slope), balls.drag_1_m)
+    ball = RealBall(float(restitution), float(slope), balls.drag_1_m, drop_m)
     radius_m = which.radius_m or drop_m * float(rng.uniform(*_RADII))
     view = (paper_viewpoint if which.paper else any_viewpoint)(rng, drop_m, radius_m)
     seconds = _seconds(which, ball, rng)
@@ -415,11 +431,10 @@ def film(scene: TrackScene, points_m: Array | None = None) -> Track:
     """
     if points_m is None:
         points_m = upright(scene.fall().heights_m)
-    centers_px, depth_m = scene.view.image_from_world(points_m)
-    radii = scene.view.radius_px(depth_m, scene.radius_m)
-    return track_from_pixels(
-        scene, centers_px, radii, scene.lost | ~scene.view.shows(points_m, scene.radius_m)
-    )
+    places_px = scene.view.image_from_world(points_m)
+    radii = scene.view.radius_px(points_m, scene.radius_m)
+    lost = scene.lost | ~scene.view.shows(points_m, scene.radius_m)
+    return track_from_pixels(scene, places_px, radii, lost)
 
 
 def track_from_pixels(scene: TrackScene, centers_px: Array, radius_px: Array, lost: Mask) -> Track:
@@ -433,30 +448,15 @@ def track_from_pixels(scene: TrackScene, centers_px: Array, radius_px: Array, lo
     """
     rng = np.random.default_rng(scene.seed)
     noise = rng.normal(0.0, 1.0, (len(scene.seconds), 3))
-    turn = np.radians(rng.normal(0.0, _PLUMB_DEG))
-    rounded = np.round(centers_px + scene.noise_px * noise[:, :2])
+    turn = _turn(np.radians(rng.normal(0.0, _PLUMB_DEG)))
+    places_px = np.round(centers_px + scene.noise_px * noise[:, :2])
     radii = np.maximum(np.round(2 * radius_px * (1 + _RADIUS_NOISE * noise[:, 2])) / 2, 0.5)
-    rounded[lost], radii[lost] = np.nan, np.nan
     plumb = scene.view.plumb_px(scene.ball.drop_m) * GRAVITY_M_S2 / scene.ball.drop_m
-    turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) @ plumb
-    return Track(
-        stamps_ns=np.round((scene.seconds - scene.seconds[0]) * 1e9).astype(np.int64),
-        places_px=rounded,
-        radius_px=radii,
-        confidence=(~lost).astype(np.float64),
-        size_px=SIZE_PX,
-        gravity_px=turned,
-        colour=(128, 128, 128),
-    )
+    stamps_ns = np.round((scene.seconds - scene.seconds[0]) * 1e9).astype(np.int64)
+    return found_track(stamps_ns, places_px, radii, lost, turn @ plumb)
 
 
-def upright(heights_m: Array) -> Array:
-    """Return points straight over the contact, shape (T, 3) [m], of heights, shape (T,)."""
-    nothing = np.zeros_like(heights_m)
-    return np.column_stack([nothing, nothing, heights_m])
-
-
-def _seconds(which: TrackSet, ball: DroppedBall, rng: np.random.Generator) -> Array:
+def _seconds(which: TrackSet, ball: RealBall, rng: np.random.Generator) -> Array:
     lasts = rng.uniform(*which.lasts) * ball.fall_s
     if not which.free:
         return np.arange(-rng.uniform(*_HELD_S), lasts, 1 / 60)
@@ -466,7 +466,7 @@ def _seconds(which: TrackSet, ball: DroppedBall, rng: np.random.Generator) -> Ar
     return np.arange(seen, lasts, ball.fall_s / rng.uniform(*_FRAMES_A_FALL))
 
 
-def _lost(ball: DroppedBall, seconds: Array, rng: np.random.Generator) -> Mask:
+def _lost(ball: RealBall, seconds: Array, rng: np.random.Generator) -> Mask:
     """Draw lost pictures, at times a gap too; most of the first flight is seen."""
     impacts = drop_ball(ball, np.append(seconds, 4 * ball.fall_s)).impacts_s
     flight = (seconds > impacts[0]) & (seconds < impacts[1])
@@ -483,7 +483,6 @@ def _lost(ball: DroppedBall, seconds: Array, rng: np.random.Generator) -> Mask:
 # ---- Paths of balls that spoil a drop, each in place of the good one's.
 # Made from a scene that lasts for six fall times at least, and a random generator: points [m],
 # shape (T, 3), at the times of the scene's pictures.
-
 
 # Fraction of the first impact's speed at which a ball that will roll off moves sideways.
 _SIDEWAYS = (0.05, 0.25)
@@ -510,14 +509,18 @@ def rolls_off(scene: TrackScene, rng: np.random.Generator) -> Array:
     return _moving(scene, heights, fall.impacts_s[0], sideways_m_s, rng)
 
 
-def edge_first(scene: TrackScene, rng: np.random.Generator) -> Array:
-    """Hit an edge at the first impact."""
-    return _edge(scene, 0, rng)
-
-
-def edge_second(scene: TrackScene, rng: np.random.Generator) -> Array:
-    """Hit an edge at the second impact."""
-    return _edge(scene, 1, rng)
+def edge(scene: TrackScene, rng: np.random.Generator, hit: int) -> Array:
+    """Rebound from an edge of a table or tile about a tilted normal, and go on beside it."""
+    fall = scene.fall()
+    at_s, speed = fall.impacts_s[hit], fall.impact_speeds_m_s[hit]
+    tilt = np.radians(rng.uniform(*_TILT_DEG))
+    kept = (1 + scene.ball.restitution) * speed * np.cos(tilt)
+    up_m_s, sideways_m_s = kept * np.cos(tilt) - speed, kept * np.sin(tilt)
+    is_table = rng.random() < 0.5
+    below_m = scene.ball.drop_m * rng.uniform(*_BELOW) if is_table else 0.0
+    after = _from_above(scene, at_s, below_m, up_m_s if is_table else max(up_m_s, 0.0))
+    heights = np.where(scene.seconds < at_s, fall.heights_m, after)
+    return _moving(scene, heights, at_s, sideways_m_s, rng)
 
 
 def thrown(scene: TrackScene, rng: np.random.Generator) -> Array:
@@ -543,8 +546,7 @@ def held(scene: TrackScene, rng: np.random.Generator) -> Array:
     reach_m = drop_m * rng.uniform(0.02, 0.15)
     slow_s = fall_s * rng.uniform(0.3, 1.0)
     hand = [smooth_noise(scene.seconds, slow_s, rng) for _ in range(3)]
-    middle = np.array([0.0, 0.0, drop_m * rng.uniform(0.4, 0.9)])
-    return middle + reach_m * np.column_stack(hand)
+    return np.array([0.0, 0.0, drop_m * rng.uniform(0.4, 0.9)]) + reach_m * np.column_stack(hand)
 
 
 def caught(scene: TrackScene, rng: np.random.Generator) -> Array:
@@ -576,24 +578,17 @@ def smooth_noise(seconds: Array, slow_s: float, rng: np.random.Generator) -> Arr
     return np.sqrt(2 / waves) * np.cos(seconds[:, None] * rates + phases).sum(axis=1)
 
 
-def _edge(scene: TrackScene, hit: int, rng: np.random.Generator) -> Array:
-    """Rebound about a tilted normal: over the edge of a table or tile, and on beside it."""
-    fall = scene.fall()
-    at_s, speed = fall.impacts_s[hit], fall.impact_speeds_m_s[hit]
-    tilt = np.radians(rng.uniform(*_TILT_DEG))
-    kept = (1 + scene.ball.restitution) * speed * np.cos(tilt)
-    up_m_s, sideways_m_s = kept * np.cos(tilt) - speed, kept * np.sin(tilt)
-    is_table = rng.random() < 0.5
-    below_m = scene.ball.drop_m * rng.uniform(*_BELOW) if is_table else 0.0
-    after = _from_above(scene, at_s, below_m, up_m_s if is_table else max(up_m_s, 0.0))
-    heights = np.where(scene.seconds < at_s, fall.heights_m, after)
-    return _moving(scene, heights, at_s, sideways_m_s, rng)
-
-
 def _from_above(scene: TrackScene, start_s: float, below_m: float, up_m_s: float) -> Array:
-    """Return heights from `start_s` on, where what is hit next lies that far below."""
-    ball = DroppedBall(below_m, scene.ball.restitution, speed_m_s=up_m_s)
-    return drop_ball(ball, scene.seconds - start_s).heights_m - below_m
+    """Return heights from `start_s` on, where what is hit next lies that far below.
+
+    The first flight is that of a ball let go at its apex, which may lie before the start.
+    """
+    since_apex = scene.seconds - start_s - up_m_s / GRAVITY_M_S2
+    apex_m = max(below_m + up_m_s**2 / (2 * GRAVITY_M_S2), 1e-9)
+    after = drop_ball(RealBall(scene.ball.restitution, 0.0, 0.0, apex_m), since_apex).heights_m
+    rising = apex_m - GRAVITY_M_S2 / 2 * since_apex**2
+    heights = np.where(since_apex < 0, rising, after) - below_m
+    return np.where(scene.seconds > start_s, heights, 0.0)
 
 
 def _moving(
@@ -615,7 +610,6 @@ def _given_way(scene: TrackScene, since: Array, speed: float, rng: np.random.Gen
 # ---- Faulty tracks: what goes wrong at drops, before cameras and in trackers.
 # Each class is a good scene with one thing changed. What must not happen is that its restitution is
 # wrong and looks right.
-
 
 Maker = Callable[[TrackScene, np.random.Generator], Track]
 
@@ -682,24 +676,34 @@ def _freezes(scene: TrackScene, rng: np.random.Generator) -> Track:
     return replace(track, places_px=track.places_px[numbers], radius_px=track.radius_px[numbers])
 
 
-def _loses_frames(scene: TrackScene, rng: np.random.Generator) -> Track:
-    """Drop 20 frames silently."""
-    start = _in_flight(scene, rng)
-    kept = np.ones(len(scene.seconds), dtype=bool)
-    kept[start : start + _FRAMES] = False
-    return _closed_up(film(scene), kept)
+def _dropping(kept: Callable[[TrackScene, np.random.Generator], Mask]) -> Maker:
+    """Drop frames silently: those that are kept close up."""
+
+    def make(scene: TrackScene, rng: np.random.Generator) -> Track:
+        track, shown = film(scene), kept(scene, rng)
+        return replace(
+            track,
+            stamps_ns=track.stamps_ns[: shown.sum()],
+            places_px=track.places_px[shown],
+            radius_px=track.radius_px[shown],
+            confidence=track.confidence[shown],
+        )
+
+    return make
 
 
-def _loses_some(scene: TrackScene, rng: np.random.Generator) -> Track:
-    """Drop a tenth of all frames silently, here and there."""
-    return _closed_up(film(scene), rng.random(len(scene.seconds)) >= _LOST_FRACTION)
+def _all_but_20(scene: TrackScene, rng: np.random.Generator) -> Mask:
+    since = np.arange(len(scene.seconds)) - _in_flight(scene, rng)
+    return (since < 0) | (since >= _FRAMES)
 
 
-def _slows_down(scene: TrackScene, rng: np.random.Generator) -> Track:
-    """Drop every second frame silently from some moment on."""
-    numbers = np.arange(len(scene.seconds))
-    since = numbers - _in_flight(scene, rng)
-    return _closed_up(film(scene), (since < 0) | (since % 2 == 0))
+def _some(scene: TrackScene, rng: np.random.Generator) -> Mask:
+    return rng.random(len(scene.seconds)) >= _LOST_FRACTION
+
+
+def _every_second(scene: TrackScene, rng: np.random.Generator) -> Mask:
+    since = np.arange(len(scene.seconds)) - _in_flight(scene, rng)
+    return (since < 0) | (since % 2 == 0)
 
 
 def _jumps(scene: TrackScene, rng: np.random.Generator) -> Track:
@@ -729,24 +733,14 @@ def _in_flight(scene: TrackScene, rng: np.random.Generator) -> int:
     return int(np.searchsorted(scene.seconds, start_s))
 
 
-def _closed_up(track: Track, kept: NDArray[np.bool_]) -> Track:
-    return replace(
-        track,
-        stamps_ns=track.stamps_ns[: kept.sum()],
-        places_px=track.places_px[kept],
-        radius_px=track.radius_px[kept],
-        confidence=track.confidence[kept],
-    )
-
-
 def _anywhere(rng: np.random.Generator) -> Array:
     return rng.uniform(_EDGE_PX, np.array(SIZE_PX) - 1 - _EDGE_PX)
 
 
 def _object(scene: TrackScene, places_px: Array) -> Track:
     """Make the track of something as large as the ball."""
-    _, depth = scene.view.image_from_world(np.array([[0.0, 0.0, scene.ball.drop_m / 2]]))
-    radii = np.full(len(places_px), scene.view.radius_px(depth, scene.radius_m)[0])
+    middle = upright(np.array([scene.ball.drop_m / 2]))
+    radii = np.full(len(places_px), scene.view.radius_px(middle, scene.radius_m)[0])
     return track_from_pixels(scene, places_px, radii, np.zeros(len(places_px), dtype=bool))
 
 
@@ -756,15 +750,15 @@ TRACK_FAULTS = (
     TrackFault("wandering", "something that wanders about", _wandering, bounces=False),
     TrackFault("leaves", "leaves the view", _leaves),
     TrackFault("rolls-off", "rolls off the table", _path(rolls_off)),
-    TrackFault("edge-first", "hits an edge, first impact", _path(edge_first)),
-    TrackFault("edge-second", "hits an edge, second impact", _path(edge_second)),
+    TrackFault("edge-first", "hits an edge, first impact", _path(partial(edge, hit=0))),
+    TrackFault("edge-second", "hits an edge, second impact", _path(partial(edge, hit=1))),
     TrackFault("thrown", "thrown and caught", _path(thrown), bounces=False),
     TrackFault("held", "held in a hand", _path(held), bounces=False),
     TrackFault("caught", "caught after the first bounce", _path(caught)),
     TrackFault("drifts", "drifts towards the camera or away", _path(drifts)),
     TrackFault("freezes", "camera freezes, 20 frames", _freezes),
-    TrackFault("loses-20", "20 frames lost, no stamps", _loses_frames),
-    TrackFault("loses-tenth", "10 % of frames lost, no stamps", _loses_some),
-    TrackFault("slows", "60 fps turn to 30, no stamps", _slows_down),
+    TrackFault("loses-20", "20 frames lost, no stamps", _dropping(_all_but_20)),
+    TrackFault("loses-tenth", "10 % of frames lost, no stamps", _dropping(_some)),
+    TrackFault("slows", "60 fps turn to 30, no stamps", _dropping(_every_second)),
     TrackFault("jumps", "tracker on something else in flight", _jumps),
 )

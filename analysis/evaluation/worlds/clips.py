@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,19 +24,25 @@ from tunenet_logs.analysis.evaluation.worlds.ball import (
     HELD_S,
     MASS_KG,
     RADIUS_M,
-    DroppedBall,
     HiddenDrop,
+    RealBall,
     drop_ball,
 )
-from tunenet_logs.analysis.evaluation.worlds.camera import SIZES_PX, View, random_view
+from tunenet_logs.analysis.evaluation.worlds.camera import (
+    SIZES_PX,
+    View,
+    drop_view,
+    found_track,
+    is_well_inside,
+    random_view,
+    upright,
+)
 from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.episode import Array, EpisodeInfo, Frame, Picture
 from tunenet_logs.messages import CAMERA_TOPIC
-from tunenet_logs.recorders.simulators.camera import PinholeCamera
 from tunenet_logs.writing.writer import EpisodeWriter
 
 # ---- Static scene: a textured floor, a wall behind it, a light.
-
 
 _TEXTURE_PX = 512  # side of a texture, which is repeated
 _WALL_FALLS = (0.3, 1.5)  # from the ball to the wall behind it [drop heights]
@@ -64,7 +69,9 @@ def draw_stage(view: View, drop_m: float, rng: np.random.Generator) -> Stage:
     floor, wall = _texture(rng), _texture(rng)
     floor_scale, wall_scale = (drop_m * rng.uniform(0.3, 1.5) / _TEXTURE_PX for _ in range(2))
     width, height = view.size_px
-    looks = _fine_directions(view) @ view.camera_from_world.astype(np.float32)
+    offsets = (np.arange(_FINER) + 0.5) / _FINER - 0.5
+    fine = ((np.arange(side)[:, None] + offsets).ravel() for side in (width, height))
+    looks = view.directions(*fine) @ view.camera_from_world.astype(np.float32)
     along, at_m, is_floor = _surfaces(view, looks, wall_m, turn)
     scale = np.where(is_floor, floor_scale, wall_scale)
     columns, rows = ((along[:, :, axis] / scale).astype(np.float32) for axis in (0, 1))
@@ -73,7 +80,13 @@ def draw_stage(view: View, drop_m: float, rng: np.random.Generator) -> Stage:
         for one in (wall, floor)
     ]
     fine = np.where(is_floor[:, :, None], picked[1], picked[0]).astype(np.float32)
-    fine *= _light(fine.shape[:2], rng)
+    # The light falls off to one side and to the corners.
+    x, y = (np.linspace(-1, 1, _FINER * side, dtype=np.float32) for side in (width, height))
+    y = y[:, None]
+    slope_x, slope_y = rng.uniform(-0.2, 0.2, 2)
+    corners = rng.uniform(0.0, 0.15)
+    light = 1 + slope_x * x + slope_y * y - corners * (x**2 + y**2)
+    fine *= (rng.uniform(0.75, 1.05) * light)[:, :, None].astype(np.float32)
     small = cv2.resize(np.clip(fine, 0, 255), (width, height), interpolation=cv2.INTER_AREA)
     middle = at_m[_FINER // 2 :: _FINER, _FINER // 2 :: _FINER, :2]
     shown = np.where(is_floor[_FINER // 2 :: _FINER, _FINER // 2 :: _FINER, None], middle, np.nan)
@@ -81,24 +94,11 @@ def draw_stage(view: View, drop_m: float, rng: np.random.Generator) -> Stage:
     return Stage(picture, shown.astype(np.float32))
 
 
-def _fine_directions(view: View) -> NDArray[np.float32]:
-    """Return the directions of `_FINER` by `_FINER` points of each pixel."""
-    width, height = view.size_px
-    x, y = view.middle_px
-    offsets = (np.arange(_FINER) + 0.5) / _FINER - 0.5
-    looks = np.ones((height * _FINER, width * _FINER, 3), np.float32)
-    columns = (np.arange(width)[:, None] + offsets).ravel()
-    rows = (np.arange(height)[:, None] + offsets).ravel()
-    looks[:, :, 0] = (columns - x) / view.camera.focal_px
-    looks[:, :, 1] = ((rows - y) / view.camera.focal_px)[:, None]
-    return looks
-
-
 def _surfaces(
     view: View, looks: NDArray[np.float32], wall_m: float, turn: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return coordinates on the surface seen [m], world places [m], and whether it is the floor."""
-    position = np.array(view.camera.position_m, np.float32)
+    position = np.array(view.position_m, np.float32)
     normal = np.array([-np.cos(turn), np.sin(turn), 0.0], np.float32)  # towards the camera
     sideways = np.array([normal[1], -normal[0], 0.0], np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -119,7 +119,8 @@ def _texture(rng: np.random.Generator) -> Picture:
     import cv2
 
     side = _TEXTURE_PX
-    colour = np.array(_room_colour(rng))
+    saturation = rng.choice([rng.uniform(0.0, 0.2), rng.uniform(0.0, 0.6)])
+    colour = _rgb(rng.random(), saturation, rng.uniform(0.2, 0.95))
     pattern = np.zeros((side, side))
     for cells, strength in ((6, 0.05), (24, 0.05), (96, 0.05), (256, 0.05)):
         rough = rng.normal(0.0, strength * rng.random(), (cells, cells))
@@ -132,33 +133,22 @@ def _texture(rng: np.random.Generator) -> Picture:
         pattern -= 0.25 * (x % lines < 2)
     elif kind == "tiles":
         pattern += rng.uniform(0, 0.35) * ((x // lines + y // lines) % 2 - 0.5)
-    tinted = colour * (1 + pattern[:, :, None])
-    return np.clip(tinted, 0, 255).astype(np.uint8)
+    return np.clip(np.array(colour) * (1 + pattern[:, :, None]), 0, 255).astype(np.uint8)
 
 
-def _room_colour(rng: np.random.Generator) -> list[float]:
+def _rgb(hue: float, saturation: float, value: float) -> tuple[float, float, float]:
+    """Convert to red, green and blue, 0 to 255."""
     import colorsys
 
-    saturation = rng.choice([rng.uniform(0.0, 0.2), rng.uniform(0.0, 0.6)])
-    return [255 * c for c in colorsys.hsv_to_rgb(rng.random(), saturation, rng.uniform(0.2, 0.95))]
-
-
-def _light(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Draw a light that falls off to one side and to the corners, shape (H, W, 1)."""
-    y = np.linspace(-1, 1, shape[0], dtype=np.float32)[:, None]
-    x = np.linspace(-1, 1, shape[1], dtype=np.float32)[None]
-    slope_x, slope_y = rng.uniform(-0.2, 0.2, 2)
-    corners = rng.uniform(0.0, 0.15)
-    light = 1 + slope_x * x + slope_y * y - corners * (x**2 + y**2)
-    return (rng.uniform(0.75, 1.05) * light)[:, :, None].astype(np.float32)
+    red, green, blue = colorsys.hsv_to_rgb(hue, saturation, value)
+    return 255 * red, 255 * green, 255 * blue
 
 
 # ---- Ray-cast ball: shaded, with its shadow and its reflection, only where they are.
 # A sphere of radius r at c (camera axes) covers a pixel that looks along d where g(d) = (d c)^2 -
 # d^2 (c^2 - r^2) > 0, an ellipse. Of a pixel on its edge 1/2 + g / |grad g| is ball.
 
-
-Box = tuple[int, int, int, int]
+Box = tuple[int, int, int, int]  # left, top, right, bottom; the last two are outside
 
 
 @dataclass(frozen=True)
@@ -216,12 +206,12 @@ def _add_spheres(
 
 
 def _box(view: View, center_m: Array, radius_m: float) -> Box:
-    """Return the pixels a sphere may touch: left, top, right, bottom; empty out of view."""
+    """Return the pixels that a sphere may touch; none out of view."""
     seen = view.seen_from_camera(center_m[None])[0]
     if seen[2] < 2 * radius_m:
         return 0, 0, 0, 0
     x, y = view.image_from_world(center_m[None])[0]
-    half = 1.15 * view.camera.focal_px * radius_m / (seen[2] - radius_m) + 2
+    half = 1.15 * view.focal_px * radius_m / (seen[2] - radius_m) + 2
     width, height = view.size_px
     left, top = max(0, int(x - half)), max(0, int(y - half))
     return left, top, min(width, int(x + half) + 2), min(height, int(y + half) + 2)
@@ -232,12 +222,12 @@ def _sphere(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the ball's coverage of each pixel, shape (H, W), and colour, shape (H, W, 3)."""
     center = view.seen_from_camera(center_m[None])[0].astype(np.float32)
-    looks = view.directions(box)
+    looks = view.directions(np.arange(box[0], box[2]), np.arange(box[1], box[3]))
     along = looks @ center
     squared = (looks**2).sum(axis=2)
     rim = np.float32(center @ center - look.radius_m**2)
     inside = along**2 - squared * rim
-    slope = 2 * (along[:, :, None] * center[:2] - looks[:, :, :2] * rim) / view.camera.focal_px
+    slope = 2 * (along[:, :, None] * center[:2] - looks[:, :, :2] * rim) / view.focal_px
     steepness = np.sqrt((slope**2).sum(axis=2)) + 1e-12
     covered = np.clip(0.5 + inside / steepness, 0, 1)
     reach = (along - np.sqrt(np.maximum(inside, 0))) / squared
@@ -281,7 +271,6 @@ def _add_shadow(frame: Picture, view: View, stage: Stage, look: BallLook, center
 
 # ---- Content of a clip, drawn at random: the ball, rig, room and bystanders.
 
-
 DROPS_M = (0.2, 2.0)
 RESTITUTION = (0.1, 0.95)
 RATES_HZ = (30.0, 120.0)  # drawn evenly: what a person films at home with a phone
@@ -320,7 +309,7 @@ class Person:
 class ClipOrder:
     """Specification of one clip."""
 
-    ball: DroppedBall  # what falls
+    ball: RealBall  # what falls
     view: View  # where from
     stage: Stage  # what is behind it
     look: BallLook  # of the ball
@@ -344,12 +333,12 @@ class ClipOrder:
 def draw_clip(seed: int, index: int) -> ClipOrder:
     """Draw the clip of that number; the same numbers give the same clip."""
     rng = np.random.default_rng([seed, index, 0xC11B])
-    ball = DroppedBall(float(rng.uniform(*DROPS_M)), float(rng.uniform(*RESTITUTION)))
-    return draw_clip_of(ball, rng)
+    drop_m, restitution = float(rng.uniform(*DROPS_M)), float(rng.uniform(*RESTITUTION))
+    return draw_clip_of(RealBall(restitution, 0.0, 0.0, drop_m), rng)
 
 
 def draw_clip_of(
-    ball: DroppedBall, rng: np.random.Generator, sizes_px: Sequence[tuple[int, int]] = SIZES_PX
+    ball: RealBall, rng: np.random.Generator, sizes_px: Sequence[tuple[int, int]] = SIZES_PX
 ) -> ClipOrder:
     """Draw a clip of this ball, with images of one of these sizes."""
     while True:
@@ -382,44 +371,45 @@ def draw_clip_of(
 
 
 def _visible_look(
-    rng: np.random.Generator, radius_m: float, view: View, stage: Stage, ball: DroppedBall
+    rng: np.random.Generator, radius_m: float, view: View, stage: Stage, ball: RealBall
 ) -> BallLook:
     """Draw a ball with enough contrast to its background for a person to follow it."""
-    heights = radius_m + ball.drop_m * np.linspace(0.0, 1.0, 9)
-    places = np.column_stack([np.zeros((9, 2)), heights])
-    columns, rows = np.round(view.image_from_world(places)).astype(int).T
-    behind = stage.picture[rows, columns].astype(np.float64)
-    look = _look(rng, radius_m)
-    while True:
-        mean = np.array(look.colour) * (look.ambient + 0.5 * (1 - look.ambient))
-        apart = np.quantile(np.abs(behind - mean).max(axis=1), [0.15, 0.5])
-        if (apart > _MIN_CONTRAST).all():
-            return look
-        look = replace(look, colour=_ball_colour(rng))
-
-
-def _look(rng: np.random.Generator, radius_m: float) -> BallLook:
-    light = np.array([rng.uniform(-0.9, 0.4), rng.uniform(-0.6, 0.6), 1.0])
-    light /= np.linalg.norm(light)
-    return BallLook(
+    look = BallLook(
         radius_m=radius_m,
+        light=_lamp(rng),
         colour=_ball_colour(rng),
-        light=(float(light[0]), float(light[1]), float(light[2])),
         ambient=float(rng.uniform(0.35, 0.8)),
         gloss=float(rng.choice([0.0, rng.uniform(0.0, 0.7)])),
         shadow=float(rng.choice([0.0, rng.uniform(0.1, 0.6), rng.uniform(0.1, 0.6)])),
         softness=float(rng.uniform(0.02, 0.3)),
         mirror=float(rng.choice([0.0, 0.0, 0.0, rng.uniform(0.05, 0.25)])),
     )
+    while True:
+        apart = np.quantile(_contrasts(look, view, stage, ball.drop_m), [0.15, 0.5])
+        if (apart > _MIN_CONTRAST).all():
+            return look
+        look = replace(look, colour=_ball_colour(rng))
+
+
+def _lamp(rng: np.random.Generator) -> tuple[float, float, float]:
+    """Draw the unit vector to a lamp."""
+    light = np.array([rng.uniform(-0.9, 0.4), rng.uniform(-0.6, 0.6), 1.0])
+    light /= np.linalg.norm(light)
+    return float(light[0]), float(light[1]), float(light[2])
 
 
 def _ball_colour(rng: np.random.Generator) -> tuple[float, float, float]:
     """Draw a colour: vivid, dull, or grey; dark and light."""
-    import colorsys
-
     saturation = rng.choice([rng.uniform(0.0, 0.15), rng.uniform(0.15, 0.5), rng.uniform(0.5, 1)])
-    red, green, blue = colorsys.hsv_to_rgb(rng.random(), float(saturation), rng.uniform(0.12, 1.0))
-    return 255 * red, 255 * green, 255 * blue
+    return _rgb(rng.random(), float(saturation), rng.uniform(0.12, 1.0))
+
+
+def _contrasts(look: BallLook, view: View, stage: Stage, drop_m: float) -> Array:
+    """Return by how much the ball and what is behind it differ along the fall, of 255, (9,)."""
+    places = view.image_from_world(upright(look.radius_m + drop_m * np.linspace(0.0, 1.0, 9)))
+    columns, rows = np.clip(np.round(places), 0, np.array(view.size_px) - 1).astype(int).T
+    mean = np.array(look.colour) * (look.ambient + 0.5 * (1 - look.ambient))
+    return np.abs(stage.picture[rows, columns].astype(np.float64) - mean).max(axis=1)
 
 
 def _hand(rng: np.random.Generator) -> Hand:
@@ -450,7 +440,6 @@ def _person(rng: np.random.Generator, fall_s: float) -> Person:
 
 # ---- Frames of a clip, with the true position of its ball.
 
-
 _MAX_SUBFRAMES = 16  # positions of the ball while a shutter is open: enough for a smooth streak
 # A ball that moves less while the shutter is open is drawn once, one that moves more 16 times, and
 # every other one four times.
@@ -471,10 +460,8 @@ def frame_seconds(order: ClipOrder) -> Array:
 def centers_m(order: ClipOrder, seconds: Array) -> Array:
     """Return the ball's centre in the world, shape (T, 3) [m], at `seconds` after the release."""
     if order.heights_m is not None:
-        up = order.heights_m(seconds) + order.look.radius_m
-    else:
-        up = drop_ball(order.ball, seconds).heights_m + order.look.radius_m
-    return np.column_stack([np.zeros((len(up), 2)), up])
+        return upright(order.heights_m(seconds) + order.look.radius_m)
+    return upright(drop_ball(order.ball, seconds).heights_m + order.look.radius_m)
 
 
 def places_px(order: ClipOrder) -> Array:
@@ -550,14 +537,12 @@ def _add_hand(frame: Picture, order: ClipOrder, hand: Hand, second: float) -> No
     """Draw a palm with an arm that comes from beyond the image's edge."""
     import cv2
 
-    start = centers_m(order, np.array([0.0]))
-    x, y = order.view.image_from_world(start)[0]
-    radius = float(order.view.camera.radius_px(start, order.look.radius_m)[0])
+    start = upright(np.array([order.ball.drop_m + order.look.radius_m]))
     after = max(second, 0.0)
-    x, y = x + radius * (hand.grip[0]), y + radius * hand.grip[1]
-    together = min(after, hand.follows_s)
-    low = start - np.array([0.0, 0.0, GRAVITY_M_S2 * together**2 / 4])
-    y += float(order.view.image_from_world(low)[0, 1] - order.view.image_from_world(start)[0, 1])
+    low = start - np.array([0.0, 0.0, GRAVITY_M_S2 * min(after, hand.follows_s) ** 2 / 4])
+    (x, y), (_, below) = order.view.image_from_world(np.vstack([start, low]))
+    radius = float(order.view.radius_px(start, order.look.radius_m)[0])
+    x, y = x + radius * hand.grip[0], below + radius * hand.grip[1]
     away = max(after - hand.follows_s, 0.0)
     x, y = x + radius * hand.leaves[0] * away, y + radius * hand.leaves[1] * away
     reach = 4 * max(frame.shape[:2])
@@ -594,50 +579,26 @@ def _add_person(frame: Picture, person: Person, second: float) -> None:
     for side in (-1, 1):
         ends = (round(x), round(foot - 0.45 * tall)), (round(x + side * swing), round(foot))
         cv2.line(frame, *ends, legs, max(2, round(0.07 * tall)), cv2.LINE_AA)
-    corners = (
-        (round(x - 0.1 * tall), round(top + 0.14 * tall)),
-        (
-            round(x + 0.1 * tall),
-            round(foot - 0.42 * tall),
-        ),
-    )
-    cv2.rectangle(frame, *corners, body, -1)
+    low, high = round(foot - 0.42 * tall), round(top + 0.14 * tall)
+    cv2.rectangle(frame, (round(x - 0.1 * tall), high), (round(x + 0.1 * tall), low), body, -1)
     cv2.circle(frame, (round(x), round(top + 0.07 * tall)), round(0.07 * tall), head, -1)
 
 
-# ---- Files of a clip as users have them: a phone's mp4, or a log of JPEGs.
-
+# ---- Files as users have them: a phone's mp4, or a log of JPEGs.
 
 _TICKS_HZ = 90_000  # the clock of an mp4's stamps, as most phones have it
-# Bytes from the name of an mp4's track header to its display matrix (ISO/IEC 14496-12, 8.3.2).
-_MATRIX_AT = 44
+_MATRIX_AT = 44  # bytes from an mp4's track header to its display matrix (ISO/IEC 14496-12, 8.3.2)
+AAC_BIT_S = 64_000
+_AAC_SAMPLES = 1024  # of one packet
 
 # What can be made of one clip that changes nothing of its ball.
 VERSIONS = (
-    "as filmed",
-    "1/8 speed",
-    "half size",
-    "mirrored",
-    "rotated, flagged",
-    "every 2nd frame",
+    *("as filmed", "1/8 speed", "half size"),
+    *("mirrored", "rotated, flagged", "every 2nd frame"),
 )
+_SLOW, _HALF_SIZE, _MIRRORED, _ROTATED, _SPARSE = VERSIONS[1:]
 
-_ROTATED, _HALF_SIZE, _MIRRORED = VERSIONS[4], VERSIONS[2], VERSIONS[3]
-
-
-class _Sink(Protocol):
-    """Sink of frames."""
-
-    def add(self, picture: Picture, second: float) -> None: ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None: ...
+Add = Callable[[Picture, float], None]  # a picture, and when it was taken after the first [s]
 
 
 def write_clip(order: ClipOrder, folder: Path) -> Path:
@@ -647,23 +608,31 @@ def write_clip(order: ClipOrder, folder: Path) -> Path:
 
 def write_versions(order: ClipOrder, folder: Path, versions: tuple[str, ...]) -> list[Path]:
     """Render one clip once, and write some of its `VERSIONS`; one file each."""
-    suffix = "mcap" if order.as_log and versions == VERSIONS[:1] else "mp4"
-    paths = [folder / f"clip_{VERSIONS.index(one)}.{suffix}" for one in versions]
+    is_log = order.as_log and versions == VERSIONS[:1]
+    paths = [
+        folder / f"clip_{VERSIONS.index(one)}.{'mcap' if is_log else 'mp4'}" for one in versions
+    ]
     with ExitStack() as stack:
-        sinks: list[_Sink] = []
+        sinks: dict[str, Add] = {}
         for one, path in zip(versions, paths, strict=True):
-            sink: _Sink = _Log(order, path) if suffix == "mcap" else _Mp4(order, path, one)
-            sinks.append(stack.enter_context(sink))
-        seconds = frame_seconds(order) + order.held_s
+            width, height = _changed(order.stage.picture, one).shape[1::-1]
+            sinks[one] = stack.enter_context(
+                jpeg_log(path, EpisodeInfo(), order.jpeg_quality)
+                if is_log
+                else mp4(path, (width, height), order.h264_factor)
+            )
+        seconds = (frame_seconds(order) + order.held_s).tolist()
         for at, (picture, second) in enumerate(zip(clip_frames(order), seconds, strict=True)):
-            for one, sink in zip(versions, sinks, strict=True):
-                if one != VERSIONS[5] or at % 2 == 0:
-                    sink.add(
-                        _changed(picture, one), float(second) * (8 if one == VERSIONS[1] else 1)
-                    )
+            for one, add in sinks.items():
+                if one != _SPARSE or at % 2 == 0:
+                    add(_changed(picture, one), second * (8 if one == _SLOW else 1))
     for one, path in zip(versions, paths, strict=True):
-        if one == _ROTATED:
-            _flag_rotation(path)
+        if one == _ROTATED:  # set its flag to a quarter turn, clockwise
+            data = bytearray(path.read_bytes())
+            at = data.index(b"tkhd") + _MATRIX_AT
+            rows = np.array([[0, 1 << 16, 0], [-(1 << 16), 0, 0], [0, 0, 1 << 30]], ">i4")
+            data[at : at + 36] = rows.tobytes()
+            path.write_bytes(data)
     return paths
 
 
@@ -681,99 +650,78 @@ def _changed(picture: Picture, version: str) -> Picture:
     return picture
 
 
-class _Mp4:
-    """H.264 with frame times."""
+@contextmanager
+def jpeg_log(path: Path, info: EpisodeInfo, quality: int) -> Iterator[Add]:
+    """Record JPEGs to MCAP in a block, as our own recorder does."""
+    import cv2
 
-    def __init__(self, order: ClipOrder, path: Path, version: str) -> None:
-        import av
-
-        width, height = order.view.size_px
-        if version == _HALF_SIZE:
-            width, height = width // 2, height // 2
-        if version == _ROTATED:
-            width, height = height, width
-        self._size = (width // 2 * 2, height // 2 * 2)  # colours are stored for two by two pixels
-        self._container = av.open(str(path), "w")
-        options = {"crf": str(order.h264_factor), "preset": "ultrafast"}
-        stream: Any = self._container.add_stream("libx264", rate=30, options=options)
-        stream.width, stream.height = self._size
-        stream.pix_fmt = "yuv420p"
-        stream.codec_context.time_base = Fraction(1, _TICKS_HZ)
-        stream.thread_count = 1
-        self._stream = stream
-
-    def add(self, picture: Picture, second: float) -> None:
-        import av
-
-        width, height = self._size
-        cut = np.ascontiguousarray(picture[:height, :width])
-        frame = av.VideoFrame.from_ndarray(cut, format="rgb24")
-        frame.pts, frame.time_base = round(second * _TICKS_HZ), Fraction(1, _TICKS_HZ)
-        self._container.mux(self._stream.encode(frame))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._container.mux(self._stream.encode())
-        self._container.close()
-
-
-class _Log:
-    """MCAP of JPEGs, as our own recorder writes."""
-
-    def __init__(self, order: ClipOrder, path: Path) -> None:
-        self._writer = EpisodeWriter(path, EpisodeInfo(), live=False)
-        self._quality = order.jpeg_quality
-
-    def add(self, picture: Picture, second: float) -> None:
-        import cv2
-
-        options = [cv2.IMWRITE_JPEG_QUALITY, self._quality]
+    def add(picture: Picture, second: float) -> None:
+        options = [cv2.IMWRITE_JPEG_QUALITY, quality]
         _, data = cv2.imencode(".jpg", picture[:, :, ::-1], options)
-        self._writer.write_frame("/camera", Frame(round(second * 1e9), "jpeg", data.tobytes()))
+        writer.write_frame(CAMERA_TOPIC, Frame(round(second * 1e9), "jpeg", data.tobytes()))
 
-    def __enter__(self) -> Self:
-        self._writer.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._writer.__exit__(kind, error, traceback)
+    with EpisodeWriter(path, info, live=False) as writer:
+        yield add
 
 
-def _flag_rotation(path: Path) -> None:
-    """Set the rotation flag of an mp4 to a quarter turn, clockwise."""
-    data = bytearray(path.read_bytes())
-    at = data.index(b"tkhd") + _MATRIX_AT
-    rows = np.array([[0, 1 << 16, 0], [-(1 << 16), 0, 0], [0, 0, 1 << 30]], ">i4")
-    data[at : at + 36] = rows.tobytes()
-    path.write_bytes(data)
+@contextmanager
+def mp4(
+    path: Path,
+    size_px: tuple[int, int],
+    factor: int,
+    sound: tuple[NDArray[np.float32], int, int] | None = None,
+) -> Iterator[Add]:
+    """Write H.264 with frame times in a block, then a sound: see `add_sound`."""
+    import av
+
+    width, height = (side // 2 * 2 for side in size_px)  # colours are stored for 2 by 2 pixels
+    with av.open(str(path), "w") as container:
+        options = {"crf": str(factor), "preset": "ultrafast"}
+        film: Any = container.add_stream("libx264", rate=30, options=options)
+        film.width, film.height, film.pix_fmt = width, height, "yuv420p"
+        film.codec_context.time_base = Fraction(1, _TICKS_HZ)
+        film.thread_count = 1
+        audio = None if sound is None else aac_stream(container, sound[1])
+
+        def add(picture: Picture, second: float) -> None:
+            cut = np.ascontiguousarray(picture[:height, :width])
+            frame = av.VideoFrame.from_ndarray(cut, format="rgb24")
+            frame.pts, frame.time_base = round(second * _TICKS_HZ), Fraction(1, _TICKS_HZ)
+            container.mux(film.encode(frame))
+
+        yield add
+        container.mux(film.encode())
+        if sound is not None:
+            add_sound(container, audio, *sound)
+
+
+def aac_stream(container: Any, rate_hz: int) -> Any:
+    """Add a stream of AAC, one channel, to an open PyAV container."""
+    stream = container.add_stream("aac", rate=rate_hz)
+    stream.bit_rate, stream.layout = AAC_BIT_S, "mono"
+    return stream
+
+
+def add_sound(
+    container: Any, stream: Any, samples: NDArray[np.float32], rate_hz: int, at: int = 0
+) -> None:
+    """Encode a sound, shape (N,), from sample `at` of its stream on."""
+    import av
+
+    for start in range(0, len(samples), _AAC_SAMPLES):
+        piece = np.ascontiguousarray(samples[None, start : start + _AAC_SAMPLES], np.float32)
+        frame = av.AudioFrame.from_ndarray(piece, format="fltp", layout="mono")
+        frame.sample_rate, frame.pts = rate_hz, at + start
+        container.mux(stream.encode(frame))
+    container.mux(stream.encode(None))
 
 
 # ---- Film of a hidden drop by a camera of unknown pose: pictures in a log, or a track.
 
-
-SIZE_PX = (640, 480)
 FRAME_HZ = 60.0
 FILM_EXPOSURE_S = 0.004
 FILM_NOISE = 4.0
 TRACK_NOISE_PX = 0.15  # of a projected track: what the tracker has on such films
-_DISTANCE_M = (1.5, 3.0)
-_ELEVATION_DEG = (-5.0, 35.0)
-_FOV_DEG = (36.0, 62.0)
-_ROLL_DEG = 2.0
-_MIN_SHARE = 0.35
-_MARGIN_PX = 20.0
 _SUBFRAMES = 6
 _QUALITY = 85
 _MIN_FILM_CONTRAST = 35.0
@@ -785,11 +733,7 @@ _COLOURS = {
     "lacrosse": (235, 235, 230),
     "super": (120, 40, 150),
 }
-_GREY = (128, 128, 128)
-_LOWEST_M = 0.1
 _TURNS = 4  # until a camera is turned as it should: each gets nearer
-_FALL_M = np.array([[0.0, 0.0, RADIUS_M], [0.0, 0.0, RADIUS_M + DROP_M]])
-_START_M = _FALL_M[1:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -797,7 +741,7 @@ class DropFilm:
     """Drop and its camera."""
 
     drop: HiddenDrop  # what happens
-    view: View  # the camera
+    view: View
     seed: int  # of the room and the noise
 
     @property
@@ -813,138 +757,80 @@ def film_of(drop: HiddenDrop, rng: np.random.Generator) -> DropFilm:
         seed = int(rng.integers(2**31))
         if drop.leaves_s is None:
             return DropFilm(drop, view, seed)
-        turned = view
         for _ in range(_TURNS):
-            turned = _turned_away(turned, drop)
-        if _is_inside(turned.image_from_world(_START_M)):
-            return DropFilm(drop, turned, seed)
+            view = _turned_away(view, drop, drop.leaves_s)
+        if is_well_inside(view, upright(np.array([RADIUS_M + DROP_M]))):
+            return DropFilm(drop, view, seed)
 
 
-def drop_view(rng: np.random.Generator) -> View:
-    """Draw a camera 1.5 to 3 m away with the whole fall in view, at a fair size."""
-    while True:
-        distance, elevation = rng.uniform(*_DISTANCE_M), np.radians(rng.uniform(*_ELEVATION_DEG))
-        aim = DROP_M * rng.uniform(0.35, 0.6)
-        up = max(aim + distance * np.sin(elevation), _LOWEST_M)
-        position = (float(-distance * np.cos(elevation)), 0.0, float(up))
-        target = (0.0, float(rng.normal(0.0, 0.1)), float(aim))
-        camera = PinholeCamera(position, target, SIZE_PX, float(rng.uniform(*_FOV_DEG)))
-        view = View(camera, float(np.radians(rng.normal(0.0, _ROLL_DEG))))
-        pixels = view.image_from_world(_FALL_M)
-        if _is_inside(pixels) and np.ptp(pixels[:, 1]) > _MIN_SHARE * SIZE_PX[1]:
-            return view
+def _turned_away(view: View, drop: HiddenDrop, leaves_s: float) -> View:
+    """Turn the camera so that a ball that is to leave crosses the image's edge."""
+    at = drop.path.at(np.array([leaves_s]))
+    to_right = math.sin(drop.heading_rad) < 0  # y is to the left of a camera that looks along x
+    edge = view.size_px[0] + 5.0 if to_right else -5.0
+    angle = math.atan2(float(view.image_from_world(at)[0, 0]) - edge, view.focal_px)
+    x, y = view.aim_m[0] - view.position_m[0], view.aim_m[1] - view.position_m[1]
+    cos, sin = math.cos(-angle), math.sin(-angle)
+    target = (
+        view.position_m[0] + cos * x - sin * y,
+        view.position_m[1] + sin * x + cos * y,
+        view.aim_m[2],
+    )
+    return replace(view, aim_m=target)
 
 
 def record_film(film: DropFilm, path: Path) -> None:
     """Write the film as the recorder does: JPEGs in a log, and what is known of the ball."""
-    import cv2
-
     ball = film.drop.ball
     info = EpisodeInfo(
         kind="drop",
         source="hidden world, drawn",
-        rig={
-            "ball_diameter_m": 2 * RADIUS_M,
-            "ball_mass_kg": MASS_KG,
-            "drop_height_m": DROP_M,
-        },
+        rig={"ball_diameter_m": 2 * RADIUS_M, "ball_mass_kg": MASS_KG, "drop_height_m": DROP_M},
         truth={"restitution": ball.restitution_at(film.drop.impact_m_s)},
         notes={"ball": ball.name},
     )
-    options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
-    with EpisodeWriter(path, info, live=False) as writer:
-        for second, picture in zip(film.seconds + HELD_S, _frames(film), strict=True):
-            _, data = cv2.imencode(".jpg", picture[:, :, ::-1], options)
-            frame = Frame(round(float(second) * 1e9), "jpeg", data.tobytes())
-            writer.write_frame(CAMERA_TOPIC, frame)
+    with jpeg_log(path, info, _QUALITY) as add:
+        for second, picture in zip((film.seconds + HELD_S).tolist(), _frames(film), strict=True):
+            add(picture, second)
 
 
 def track_of(film: DropFilm) -> Track:
     """Simulate the track that a tracker would find, without pictures."""
-    rng = np.random.default_rng(film.seed)
-    centers = film.drop.centers_m(film.seconds)
-    places = film.view.image_from_world(centers)
-    radii = film.view.camera.radius_px(centers, RADIUS_M)
+    rng, view = np.random.default_rng(film.seed), film.view
+    centers = film.drop.path.at(film.seconds)
+    places, radii = view.image_from_world(centers), view.radius_px(centers, RADIUS_M)
     places += rng.normal(0.0, TRACK_NOISE_PX, places.shape)
-    room = np.array(SIZE_PX) - 1 - radii[:, None]
+    room = np.array(view.size_px) - 1 - radii[:, None]
     seen = np.all((places > radii[:, None]) & (places < room), axis=1)
-    seen &= centers[:, 0] > film.view.camera.position_m[0] + 0.2
-    top, low = film.view.image_from_world(np.array([[0, 0, DROP_M + RADIUS_M], [0, 0, RADIUS_M]]))
-    places[~seen] = np.nan
-    return Track(
-        stamps_ns=np.round((film.seconds + HELD_S) * 1e9).astype(np.int64),
-        places_px=places,
-        radius_px=np.where(seen, radii, np.nan),
-        confidence=seen.astype(np.float64),
-        size_px=SIZE_PX,
-        gravity_px=low - top,
-        colour=_GREY,
-    )
-
-
-def _is_inside(pixels: Array) -> bool:
-    far = np.array(SIZE_PX) - 1 - _MARGIN_PX
-    return bool(np.all((pixels > _MARGIN_PX) & (pixels < far)))
-
-
-def _turned_away(view: View, drop: HiddenDrop) -> View:
-    """Turn the camera so that a ball that is to leave crosses the image's edge."""
-    assert drop.leaves_s is not None
-    camera = view.camera
-    at = drop.centers_m(np.array([drop.leaves_s]))
-    to_right = math.sin(drop.heading_rad) < 0  # y is to the left of a camera that looks along x
-    edge = SIZE_PX[0] + 5.0 if to_right else -5.0
-    off_px = float(view.image_from_world(at)[0, 0]) - edge
-    angle = math.atan2(off_px, camera.focal_px)
-    x, y = camera.target_m[0] - camera.position_m[0], camera.target_m[1] - camera.position_m[1]
-    cos, sin = math.cos(-angle), math.sin(-angle)
-    target = (
-        camera.position_m[0] + cos * x - sin * y,
-        camera.position_m[1] + sin * x + cos * y,
-        camera.target_m[2],
-    )
-    turned = PinholeCamera(camera.position_m, target, camera.size_px, camera.fov_deg)
-    return View(turned, view.roll_rad)
+    seen &= centers[:, 0] > view.position_m[0] + 0.2
+    top, low = view.image_from_world(upright(RADIUS_M + np.array([DROP_M, 0.0])))
+    stamps_ns = np.round((film.seconds + HELD_S) * 1e9).astype(np.int64)
+    return found_track(stamps_ns, places, radii, ~seen, low - top, view.size_px)
 
 
 def _frames(film: DropFilm) -> Iterator[Picture]:
     rng = np.random.default_rng(film.seed)
-    stage, look = _room(film, rng)
-    noise = SensorNoise(rng, SIZE_PX, FILM_NOISE)
-    offsets = ((np.arange(_SUBFRAMES) + 0.5) / _SUBFRAMES - 0.5) * FILM_EXPOSURE_S
-    seconds = film.seconds
-    centers = film.drop.centers_m((seconds[:, None] + offsets).ravel())
-    above = look, BallLook(**{**vars(look), "shadow": 0.0, "mirror": 0.0})
-    for places in centers.reshape(len(seconds), _SUBFRAMES, 3):
-        frame = stage.picture.copy()
-        moves = np.linalg.norm(places[-1] - places[0]) > 5e-4
-        shown = places if moves else places[:1]
-        add_ball(frame, film.view, stage, above[int(places[0, 2] < 0)], shown)
-        yield noise.added_to(frame)
-
-
-def _room(film: DropFilm, rng: np.random.Generator) -> tuple[Stage, BallLook]:
-    """Draw a room before which a person could follow the ball."""
-    heights = RADIUS_M + DROP_M * np.linspace(0.0, 1.0, 9)
-    places = film.view.image_from_world(np.column_stack([np.zeros((9, 2)), heights]))
-    far = np.array(SIZE_PX) - 1
-    columns, rows = np.clip(np.round(places), 0, far).astype(int).T
-    colour = _COLOURS.get(film.drop.ball.name, _COLOURS["foam"])
-    light = np.array([rng.uniform(-0.9, 0.4), rng.uniform(-0.6, 0.6), 1.0])
-    light /= np.linalg.norm(light)
     look = BallLook(
         radius_m=RADIUS_M,
-        colour=colour,
-        light=(float(light[0]), float(light[1]), float(light[2])),
+        colour=_COLOURS.get(film.drop.ball.name, _COLOURS["foam"]),
+        light=_lamp(rng),
         ambient=float(rng.uniform(0.4, 0.8)),
         gloss=float(rng.uniform(0.0, 0.6)),
         shadow=float(rng.choice([0.0, rng.uniform(0.1, 0.6)])),
         softness=float(rng.uniform(0.02, 0.3)),
         mirror=0.0,
     )
-    while True:
+    while True:  # a room before which a person could follow the ball
         stage = draw_stage(film.view, DROP_M, rng)
-        behind = stage.picture[rows, columns].astype(np.float64)
-        mean = np.array(colour) * (look.ambient + 0.5 * (1 - look.ambient))
-        if np.quantile(np.abs(behind - mean).max(axis=1), 0.15) > _MIN_FILM_CONTRAST:
-            return stage, look
+        contrasts = _contrasts(look, film.view, stage, DROP_M)
+        if np.quantile(contrasts, 0.15) > _MIN_FILM_CONTRAST:
+            break
+    noise = SensorNoise(rng, film.view.size_px, FILM_NOISE)
+    offsets = ((np.arange(_SUBFRAMES) + 0.5) / _SUBFRAMES - 0.5) * FILM_EXPOSURE_S
+    centers = film.drop.path.at((film.seconds[:, None] + offsets).ravel())
+    for places in centers.reshape(-1, _SUBFRAMES, 3):
+        frame = stage.picture.copy()
+        shown = places if np.linalg.norm(places[-1] - places[0]) > 5e-4 else places[:1]
+        below = replace(look, shadow=0.0) if places[0, 2] < 0 else look
+        add_ball(frame, film.view, stage, below, shown)
+        yield noise.added_to(frame)

@@ -10,7 +10,7 @@ models of another machine. `sample_logs/models` is made by
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from math import cos, sin
 from pathlib import Path
 
@@ -22,7 +22,6 @@ from tunenet_logs.analysis.api import save_episode
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 
 # ---- Logs: quantities, their sensors, and the model that goes with them.
-
 
 START_NS = 1_700_000_000_123_456_789  # of all logs, by their own clock
 NOISE = 0.02  # white noise of a sensor, over the standard deviation of what it measures
@@ -43,11 +42,11 @@ class ModelLog:
     truth: Mapping[str, float]  # by the addresses of what is tuned
     model: str  # the text of the MJCF file, whose values are wrong where they are to be tuned
     tune: tuple[str, ...]  # what stands after `--tune`, with ranges
-    unidentifiable: tuple[str, ...] = ()  # addresses of what is unidentifiable from this log
     # the signals without noise, by name, each of shape (T, C)
-    clean: Mapping[str, Array] = field(default_factory=dict)
+    clean: Mapping[str, Array]
     # standard deviation of the noise of each column, by signal, each of shape (C,)
-    noise: Mapping[str, Array] = field(default_factory=dict)
+    noise: Mapping[str, Array]
+    unidentifiable: tuple[str, ...] = ()  # addresses of what is unidentifiable from this log
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,31 +71,30 @@ def sample_times(length_s: float, rate_hz: float, rng: np.random.Generator) -> A
 
 
 def recorded(
-    sensed: Mapping[str, Sensed], noise: float, rng: np.random.Generator
-) -> tuple[Episode, dict[str, Array], dict[str, Array]]:
-    """Record quantities at so many times the usual noise; return log, clean values, noise std."""
+    sensed: Mapping[str, Sensed],
+    noise: float,
+    rng: np.random.Generator,
+    truth: Mapping[str, float],
+    model: str,
+    tune: tuple[str, ...],
+) -> ModelLog:
+    """Record quantities at so many times the usual noise; a joint held still has the other's."""
     signals: dict[str, Signal] = {}
-    clean: dict[str, Array] = {}
     sizes: dict[str, Array] = {}
     for name, one in sensed.items():
-        size = noise * _usual_noise(one)
-        values = one.values + size * rng.standard_normal(one.values.shape)
+        size = np.full(len(one.columns), one.noise or 0.0)
+        if one.noise is None:
+            moved = np.std(one.values, axis=0)
+            size = NOISE * np.where(moved > _STANDS_STILL, moved, np.max(moved))
+        sizes[name] = noise * size
+        values = one.values + sizes[name] * rng.standard_normal(one.values.shape)
         stamps_ns = START_NS + np.round(1e9 * one.seconds).astype(np.int64)
         signals[name] = Signal(name, stamps_ns, values, one.columns, one.unit)
-        clean[name], sizes[name] = one.values, size
-    return Episode(EpisodeInfo(), signals), clean, sizes
-
-
-def _usual_noise(sensed: Sensed) -> Array:
-    """Return each column's noise std, shape (C,); a joint held still has the other's sensor."""
-    if sensed.noise is not None:
-        return np.full(len(sensed.columns), sensed.noise)
-    moved = np.std(sensed.values, axis=0)
-    return NOISE * np.where(moved > _STANDS_STILL, moved, np.max(moved))
+    clean = {name: one.values for name, one in sensed.items()}
+    return ModelLog(Episode(EpisodeInfo(), signals), truth, model, tune, clean, sizes)
 
 
 # ---- Pendulum with viscous and dry friction, integrated from reversal to reversal.
-
 
 JOINT = "hinge"  # by the name of which log and model know it
 PENDULUM_DAMPING, FRICTION, ARMATURE, MASS = (
@@ -142,19 +140,11 @@ class Pendulum:
     friction: float  # dry [N·m]
     armature: float  # [kg·m²], beside the bob's own inertia
     angle_rad: float  # from which it is let go
-    inertia: float = field(init=False)
 
-    def __post_init__(self) -> None:
-        own = _MASS_KG * _ARM_M**2 + _INERTIA_KG_M2
-        object.__setattr__(self, "inertia", own + self.armature)
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator) -> Pendulum:
-        """Draw a pendulum."""
-        damping = float(np.exp(rng.uniform(np.log(0.02), np.log(0.1))))
-        friction, armature = float(rng.uniform(0.02, 0.12)), float(rng.uniform(0.01, 0.05))
-        angle_rad = float(rng.uniform(1.2, 2.4) * rng.choice([-1.0, 1.0]))
-        return cls(damping, friction, armature, angle_rad)
+    @property
+    def inertia(self) -> float:
+        """Moment about the hinge [kg·m²]."""
+        return _MASS_KG * _ARM_M**2 + _INERTIA_KG_M2 + self.armature
 
     def pull(self, angle_rad: float) -> float:
         """Return gravity's torque [N·m]."""
@@ -183,9 +173,11 @@ class Pendulum:
     def _until_it_turns(
         self, now_s: float, angle_rad: float, way: float, last_s: float
     ) -> tuple[float, Callable[[Array], Array], float]:
+        inertia = self.inertia
+
         def rates(_: float, state: Array) -> list[float]:
             torque = self.pull(state[0]) - self.damping * state[1] - way * self.friction
-            return [state[1], torque / self.inertia]
+            return [state[1], torque / inertia]
 
         def turns(_: float, state: Array) -> float:
             return float(state[1])
@@ -207,38 +199,37 @@ class Pendulum:
 def pendulum_log(seed: int, noise: float = 1.0) -> ModelLog:
     """Simulate a swing of 8 s, of which three parameters are tuned."""
     rng = np.random.default_rng((seed, 1))
-    pendulum = Pendulum.drawn(rng)
+    pendulum = Pendulum(
+        damping=float(np.exp(rng.uniform(np.log(0.02), np.log(0.1)))),
+        friction=float(rng.uniform(0.02, 0.12)),
+        armature=float(rng.uniform(0.01, 0.05)),
+        angle_rad=float(rng.uniform(1.2, 2.4) * rng.choice([-1.0, 1.0])),
+    )
     seconds = sample_times(_LENGTH_S, STATES_HZ, rng)
     motion = pendulum.at(seconds)
     sensed = {
         "/joint_states.position": Sensed(seconds, motion[:, :1], (JOINT,), "rad"),
         "/joint_states.velocity": Sensed(seconds, motion[:, 1:], (JOINT,), "rad/s"),
     }
-    episode, clean, sizes = recorded(sensed, noise, rng)
     truth = {
         PENDULUM_DAMPING: pendulum.damping,
         FRICTION: pendulum.friction,
         ARMATURE: pendulum.armature,
     }
-    return ModelLog(episode, truth, pendulum_model(), _PENDULUM_TUNE, (), clean, sizes)
+    model = PENDULUM.format(gravity=EARTH, mass=_MASS_KG)
+    return recorded(sensed, noise, rng, truth, model, _PENDULUM_TUNE)
 
 
 def pendulum_of_unknown_mass(seed: int, noise: float = 1.0) -> ModelLog:
     """Simulate the same with the bob's mass tuned as well: a swing determines ratios alone."""
     log = pendulum_log(seed, noise)
     truth = {**log.truth, MASS: _MASS_KG}
-    model = pendulum_model(mass_kg=1.3)
+    model = PENDULUM.format(gravity=EARTH, mass=1.3)
     tune = (*_PENDULUM_TUNE, f"{MASS}=0.2:3")
-    return ModelLog(log.episode, truth, model, tune, tuple(truth), log.clean, log.noise)
-
-
-def pendulum_model(*, gravity: str = EARTH, mass_kg: float = _MASS_KG) -> str:
-    """Return the MJCF text of an owner's model; gravity of three numbers [m/s²]."""
-    return PENDULUM.format(gravity=gravity, mass=mass_kg)
+    return replace(log, truth=truth, model=model, tune=tune, unidentifiable=tuple(truth))
 
 
 # ---- Planar two-link arm under delayed servos, with a payload at its tip.
-
 
 LINKS_M = (0.4, 0.3)
 LINKS_KG = (1.5, 1.0)
@@ -254,33 +245,6 @@ _EASING_S = 0.5
 _ARM_TOLERANCE = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class Commands:
-    """Sums of sines, eased in from rest."""
-
-    middle: Array  # of each joint [rad], shape (2,)
-    amplitudes: Array  # of each sine [rad], shape (K, 2)
-    rates: Array  # of each sine [rad/s], shape (K, 2)
-    phases: Array  # of each sine [rad], shape (K, 2)
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator) -> Commands:
-        """Draw commands of some 0.6 rad about some posture."""
-        shape = (_TERMS, 2)
-        middle = np.array([rng.uniform(0.3, 1.2), rng.uniform(-0.3, 1.0)])
-        shares = rng.uniform(0.5, 1.0, shape)
-        amplitudes = _MAX_RAD * shares / np.sum(shares, axis=0)
-        rates = 2 * np.pi * rng.uniform(_MIN_HZ, _MAX_HZ, shape)
-        return cls(middle, amplitudes, rates, rng.uniform(0, 2 * np.pi, shape))
-
-    def at(self, seconds: Array) -> Array:
-        """Return positions [rad] at times of shape (T,), shape (T, 2)."""
-        share = (seconds / _EASING_S).clip(0.0, 1.0)
-        ease = (share**2 * (3 - 2 * share))[:, None]
-        waves = self.rates * seconds[:, None, None] + self.phases
-        return self.middle + ease * np.sum(self.amplitudes * np.sin(waves), axis=1)
-
-
 @dataclass(frozen=True)
 class PlanarArm:
     """Planar arm; angles are 0 where it hangs down, the elbow's against the first link."""
@@ -288,12 +252,6 @@ class PlanarArm:
     payload_kg: float  # at the tip
     delay_s: float  # after which a servo obeys a command
     elbow_is_held: bool = False  # whether a brake holds the elbow where the first command wants it
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, *, elbow_is_held: bool = False) -> PlanarArm:
-        """Draw an arm."""
-        payload_kg = float(np.exp(rng.uniform(np.log(0.2), np.log(2.0))))
-        return cls(payload_kg, float(rng.uniform(0.005, 0.06)), elbow_is_held)
 
     def weight(self, first_rad: float, second_rad: float) -> tuple[float, float]:
         """Return the gravity torques of the joints [N·m]."""
@@ -380,7 +338,6 @@ class PlanarArm:
 
 # ---- Logs of the arm, with its owner's model.
 
-
 JOINTS = ("shoulder", "elbow")
 PAYLOAD, DELAY, ELBOW_DAMPING = "body/payload.mass", "delay/commands", "joint/elbow.damping"
 
@@ -451,21 +408,29 @@ def arm_model(
 
 def arm_log(seed: int, noise: float = 1.0) -> ModelLog:
     """Simulate a motion of 8 s, of which payload and delay are tuned."""
-    rng = np.random.default_rng((seed, 2))
-    return _log(PlanarArm.drawn(rng), Commands.drawn(rng), noise, rng)
+    return _arm_log(np.random.default_rng((seed, 2)), noise, elbow_is_held=False)
 
 
 def arm_with_a_brake(seed: int, noise: float = 1.0) -> ModelLog:
     """Simulate the same with the elbow held, so that its damping is unidentifiable."""
-    rng = np.random.default_rng((seed, 3))
-    arm, drawn = PlanarArm.drawn(rng, elbow_is_held=True), Commands.drawn(rng)
-    drawn.amplitudes[:, 1] = 0.0
-    return _log(arm, drawn, noise, rng)
+    return _arm_log(np.random.default_rng((seed, 3)), noise, elbow_is_held=True)
 
 
-def _log(arm: PlanarArm, commands: Commands, noise: float, rng: np.random.Generator) -> ModelLog:
+def _arm_log(rng: np.random.Generator, noise: float, *, elbow_is_held: bool) -> ModelLog:
+    payload_kg = float(np.exp(rng.uniform(np.log(0.2), np.log(2.0))))
+    arm = PlanarArm(payload_kg, float(rng.uniform(0.005, 0.06)), elbow_is_held)
+    # Commands are sums of sines of some 0.6 rad about some posture, eased in from rest.
+    shape = (_TERMS, 2)
+    middle = np.array([rng.uniform(0.3, 1.2), rng.uniform(-0.3, 1.0)])
+    shares = rng.uniform(0.5, 1.0, shape)
+    amplitudes = _MAX_RAD * shares / np.sum(shares, axis=0)
+    amplitudes[:, 1] *= not elbow_is_held
+    rates = 2 * np.pi * rng.uniform(_MIN_HZ, _MAX_HZ, shape)
+    phases = rng.uniform(0, 2 * np.pi, shape)
     told_s = sample_times(_LENGTH_S, COMMANDS_HZ, rng)
-    told_rad: Array = commands.at(told_s)
+    share = (told_s / _EASING_S).clip(0.0, 1.0)
+    waves = np.sum(amplitudes * np.sin(rates * told_s[:, None, None] + phases), axis=1)
+    told_rad = middle + (share**2 * (3 - 2 * share))[:, None] * waves
     seconds = sample_times(_LENGTH_S, STATES_HZ, rng)
     angles_rad, speeds, torques = arm.moved(seconds, told_s, told_rad)
     sensed = {
@@ -474,14 +439,17 @@ def _log(arm: PlanarArm, commands: Commands, noise: float, rng: np.random.Genera
         "/joint_states.effort": Sensed(seconds, torques, JOINTS, "N·m"),
         "/joint_commands.position": Sensed(told_s, told_rad, JOINTS, "rad", 0.0),
     }
-    episode, clean, sizes = recorded(sensed, noise, rng)
     truth = {PAYLOAD: arm.payload_kg, DELAY: arm.delay_s}
-    if not arm.elbow_is_held:
-        return ModelLog(episode, truth, arm_model(), _ARM_TUNE, (), clean, sizes)
-    truth[ELBOW_DAMPING] = 0.3
-    model = arm_model(held_rad=float(commands.middle[1]))
-    tune = (*_ARM_TUNE, f"{ELBOW_DAMPING}=0:2")
-    return ModelLog(episode, truth, model, tune, (ELBOW_DAMPING,), clean, sizes)
+    log = recorded(sensed, noise, rng, truth, arm_model(), _ARM_TUNE)
+    if not elbow_is_held:
+        return log
+    return replace(
+        log,
+        truth={**truth, ELBOW_DAMPING: 0.3},
+        model=arm_model(held_rad=float(middle[1])),
+        tune=(*_ARM_TUNE, f"{ELBOW_DAMPING}=0:2"),
+        unidentifiable=(ELBOW_DAMPING,),
+    )
 
 
 # ---- Zero-order hold: commands, held until the next one is obeyed, as steps see them.
@@ -512,7 +480,6 @@ class HeldCommands:
 
 
 # ---- Block that slides over the floor until friction has stopped it.
-
 
 BLOCK_FRICTION, BLOCK_MASS = "geom/block.friction[0]", "body/block.mass"
 POSE = "/block/pose"
@@ -545,60 +512,35 @@ BLOCK = """\
 """
 
 
-@dataclass(frozen=True, eq=False)
-class SlidingBlock:
-    """Block that slides without turning."""
-
-    friction: float  # Coulomb's coefficient
-    start_m: Array  # where it is at 0 s, x and y, shape (2,)
-    velocity_m_s: Array  # then, shape (2,)
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator) -> SlidingBlock:
-        """Draw a block."""
-        friction = float(np.exp(rng.uniform(np.log(0.1), np.log(0.7))))
-        along, aside = rng.uniform(0.5, 2.5), rng.uniform(-0.1, 0.1)
-        return cls(friction, rng.uniform(-0.5, 0.5, 2), along * np.array([1.0, aside]))
-
-    @property
-    def stops_s(self) -> float:
-        """Time at which it has come to rest [s]."""
-        return float(np.linalg.norm(self.velocity_m_s)) / (self.friction * GRAVITY_M_S2)
-
-    def at(self, seconds: Array) -> Array:
-        """Return positions of its centre in closed form, shape (T, 3) [m]."""
-        slid_s = np.minimum(seconds, self.stops_s)[:, None]
-        flat_m = self.start_m + self.velocity_m_s * (slid_s - slid_s**2 / (2 * self.stops_s))
-        return np.column_stack([flat_m, np.full(len(seconds), _HALF_HEIGHT_M)])
-
-
 def block_log(seed: int, noise: float = 1.0) -> ModelLog:
-    """Simulate a slide and a second of rest, of which friction is tuned."""
+    """Simulate a slide, without turning, and a second of rest, of which friction is tuned."""
     rng = np.random.default_rng((seed, 4))
-    block = SlidingBlock.drawn(rng)
-    seconds = sample_times(block.stops_s + _REST_S, STATES_HZ, rng)
-    sensed = {POSE: Sensed(seconds, block.at(seconds), ("x", "y", "z"), "m", _NOISE_M)}
-    episode, clean, sizes = recorded(sensed, noise, rng)
-    truth = {BLOCK_FRICTION: block.friction}
-    return ModelLog(episode, truth, block_model(), _BLOCK_TUNE, (), clean, sizes)
+    friction = float(np.exp(rng.uniform(np.log(0.1), np.log(0.7))))
+    along, aside = rng.uniform(0.5, 2.5), rng.uniform(-0.1, 0.1)
+    start_m, velocity_m_s = rng.uniform(-0.5, 0.5, 2), along * np.array([1.0, aside])
+    stops_s = float(np.linalg.norm(velocity_m_s)) / (friction * GRAVITY_M_S2)
+    seconds = sample_times(stops_s + _REST_S, STATES_HZ, rng)
+    slid_s = np.minimum(seconds, stops_s)[:, None]
+    flat_m = start_m + velocity_m_s * (slid_s - slid_s**2 / (2 * stops_s))
+    places_m = np.column_stack([flat_m, np.full(len(seconds), _HALF_HEIGHT_M)])
+    sensed = {POSE: Sensed(seconds, places_m, ("x", "y", "z"), "m", _NOISE_M)}
+    model = BLOCK.format(gravity=EARTH, mass=_BLOCK_KG)
+    return recorded(sensed, noise, rng, {BLOCK_FRICTION: friction}, model, _BLOCK_TUNE)
 
 
 def block_of_unknown_mass(seed: int, noise: float = 1.0) -> ModelLog:
     """Simulate the same with the mass tuned as well, which is unidentifiable."""
     log = block_log(seed, noise)
-    truth = {**log.truth, BLOCK_MASS: _BLOCK_KG}
-    tune = (*_BLOCK_TUNE, f"{BLOCK_MASS}=0.2:5")
-    model = block_model(mass_kg=1.0)
-    return ModelLog(log.episode, truth, model, tune, (BLOCK_MASS,), log.clean, log.noise)
-
-
-def block_model(*, gravity: str = EARTH, mass_kg: float = _BLOCK_KG) -> str:
-    """Return the MJCF text of an owner's model; gravity of three numbers [m/s²]."""
-    return BLOCK.format(gravity=gravity, mass=mass_kg)
+    return replace(
+        log,
+        truth={**log.truth, BLOCK_MASS: _BLOCK_KG},
+        model=BLOCK.format(gravity=EARTH, mass=1.0),
+        tune=(*_BLOCK_TUNE, f"{BLOCK_MASS}=0.2:5"),
+        unidentifiable=(BLOCK_MASS,),
+    )
 
 
 # ---- Models of other machines, with which no tuning may be content.
-
 
 _MOON, _MARS = 1.62, 3.7
 
@@ -613,10 +555,9 @@ _OFF = 0.3  # by how much of their lengths another arm's links are off
 _BEYOND = 1.1
 
 
-def wrong_pendulums(log: ModelLog) -> dict[str, str]:
+def wrong_pendulums(_: ModelLog) -> dict[str, str]:
     """Return texts of models for any log, by what is wrong."""
-    del log
-    return {name: pendulum_model(gravity=gravity) for name, gravity in _GRAVITIES.items()}
+    return {name: PENDULUM.format(gravity=one, mass=_MASS_KG) for name, one in _GRAVITIES.items()}
 
 
 def wrong_arms(log: ModelLog) -> dict[str, str]:
@@ -636,7 +577,7 @@ def wrong_blocks(log: ModelLog) -> dict[str, str]:
     A slide determines friction times gravity alone, so that less gravity is seen only where the
     friction that makes up for it is out of range.
     """
-    models = {name: block_model(gravity=gravity) for name, gravity in _GRAVITIES.items()}
+    models = {name: BLOCK.format(gravity=one, mass=_BLOCK_KG) for name, one in _GRAVITIES.items()}
     for name, gravity_m_s2 in zip(_GRAVITIES, (_MOON, _MARS), strict=False):
         if log.truth[BLOCK_FRICTION] * GRAVITY_M_S2 / gravity_m_s2 < _BEYOND * MAX_FRICTION:
             del models[name]
@@ -668,7 +609,6 @@ MACHINES = (
 
 # ---- The sample logs of machines and their owners' models: the same bytes each time.
 
-
 SEEDS = {"pendulum": 3, "arm": 5, "block": 2}
 
 
@@ -679,14 +619,9 @@ def write_samples(folder: Path) -> None:
         log = machine.log(SEEDS[machine.name], 1.0)
         save_episode(log.episode, folder / f"{machine.name}.mcap", overwrite=True)
         (folder / f"{machine.name}.xml").write_text(log.model)
-        lines = [_line(text) for text in log.tune]
+        tuned = (text.replace("=", ":").split(":") for text in log.tune)
+        lines = [f"{address}: [{low}, {high}]\n" for address, low, high in tuned]
         (folder / f"{machine.name}.yaml").write_text("".join(lines))
-
-
-def _line(text: str) -> str:
-    address, _, ends = text.partition("=")
-    low, _, high = ends.partition(":")
-    return f"{address}: [{low}, {high}]\n"
 
 
 if __name__ == "__main__":

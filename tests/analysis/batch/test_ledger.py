@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import resource
 import shutil
 import signal
@@ -24,7 +23,6 @@ from pyarrow import parquet
 from tests import strangers
 from tests.conftest import BIN, Command
 from tunenet_logs.analysis.batch.ledger import journal, ledger_file
-from tunenet_logs.analysis.batch.run import Writing
 from tunenet_logs.errors import LogError, UsageError
 
 _START_NS = 1_700_000_000_000_000_000
@@ -96,7 +94,7 @@ def test_what_is_done_and_unchanged_is_not_done_again(
     logs = tmp_path / "logs"
     shutil.copytree(made_drops, logs)
     out = tmp_path / "out"
-    words = ("tunenet-tune", str(logs), "-o", str(out), "--resume", "--no-review")
+    words = ("tunenet-tune", str(logs), "-o", str(out), "--resume", "--no-review", "--jobs", "1")
     assert "12 logs: 12 tuned" in command(*words).stdout
     assert not list(out.rglob("drop*.rrd"))
     assert "12 logs: 0 tuned" in command(*words).stdout
@@ -115,47 +113,9 @@ def test_reviews_are_written_of_one_verdict_alone(
 ):
     out = tmp_path / "out"
     logs = [str(made_drops / "day0" / f"drop0{number}.mcap") for number in (0, 2)]
-    command("tunenet-tune", *logs, "-o", str(out), "--review-only", "suspect")
-    assert {one.name for one in out.iterdir()} == {
-        "drop00.json",
-        "drop02.json",
-        "ledger.parquet",
-        "ledger.rrd",
-    }
-
-
-@pytest.mark.live
-@pytest.mark.parametrize("who", ["driver", "worker"])
-def test_no_log_is_lost_or_twice_whoever_is_killed(made_drops: Path, tmp_path: Path, who: str):
-    """The driver is begun again with --resume; a worker's death is the driver's to mend."""
-    out, rng = tmp_path / "out", random.Random(who)
-    words = [str(BIN / "tunenet-tune"), str(made_drops), "-o", str(out)]
-    words += ["--resume", "--no-review", "--jobs", "2", "--quiet"]
-    kills, code = 0, None
-    for _ in range(12):
-        with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as driver:
-            deadline = time.monotonic() + 60
-            before = len(_journal_lines(out))
-            wanted = before + rng.randrange(1, 3)
-            while driver.poll() is None and time.monotonic() < deadline:
-                if len(_journal_lines(out)) >= wanted and kills < 3:
-                    target = driver.pid if who == "driver" else _a_worker(driver.pid)
-                    if target:
-                        os.kill(target, signal.SIGKILL)
-                        kills += 1
-                        wanted += 3
-                time.sleep(0.005)
-            code = driver.wait(60)
-        if code in (0, 1):
-            break
-    assert code == 1  # for the damaged one
-    assert kills >= 1
-    rows = ledger_of(out)
-    every = sorted(str(one.resolve()) for one in made_drops.rglob("*.mcap"))
-    assert sorted(row["log"] for row in rows) == every
-    assert not any(row["error"] for row in rows)
-    assert verdicts_of(rows) == {"ok": 11, "rejected": 1}
-    assert not list(out.rglob("*.partial")) or who == "driver"
+    command("tunenet-tune", *logs, "-o", str(out), "--review-only", "suspect", "--jobs", "1")
+    names = "drop00.json drop02.json ledger.parquet ledger.rrd"
+    assert {one.name for one in out.iterdir()} == set(names.split())
 
 
 def _journal_lines(out: Path) -> list[bytes]:
@@ -165,32 +125,46 @@ def _journal_lines(out: Path) -> list[bytes]:
         return []
 
 
-def _a_worker(driver: int) -> int | None:
-    """A child of the driver that tunes."""
+@pytest.mark.live
+def test_no_log_is_lost_or_twice_whoever_is_stopped_or_killed(made_drops: Path, tmp_path: Path):
+    """Ctrl-C, then the driver killed, then a worker: `--resume` does the rest each time."""
+    logs, out = tmp_path / "logs", tmp_path / "out"
+    shutil.copytree(made_drops, logs)
+    for number in range(12):
+        shutil.copy(logs / "day0" / "drop00.mcap", logs / f"again{number}.mcap")
+    words = [str(BIN / "tunenet-tune"), str(logs), "-o", str(out)]
+    words += ["--resume", "--no-review", "--jobs", "2", "--quiet"]
+    for stopped in (signal.SIGINT, signal.SIGKILL, None):
+        with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as driver:
+            wanted, deadline = len(_journal_lines(out)) + 3, time.monotonic() + 120
+            while len(_journal_lines(out)) < wanted:
+                assert driver.poll() is None
+                assert time.monotonic() < deadline
+                time.sleep(0.005)
+            workers = _workers(driver.pid)
+            os.kill(driver.pid if stopped else workers[0], stopped or signal.SIGKILL)
+            _, said = driver.communicate(timeout=120)
+        assert b"Traceback" not in said
+        while any(map(_lives, workers)):  # they end with their driver
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        code = 1 if stopped is None else 130 if stopped is signal.SIGINT else -stopped
+        assert driver.returncode == code, said  # at last: for the damaged one
+    rows = ledger_of(out)
+    every = sorted(str(one.resolve()) for one in logs.rglob("*.mcap"))
+    assert sorted(row["log"] for row in rows) == every
+    assert not any(row["error"] for row in rows)
+    assert verdicts_of(rows) == {"ok": 23, "rejected": 1}
+
+
+def _workers(driver: int) -> list[int]:
+    """The children of the driver that tune."""
     children = Path(f"/proc/{driver}/task/{driver}/children").read_text().split()
-    workers = [
+    return [
         int(child)
         for child in children
         if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
     ]
-    return workers[0] if workers else None
-
-
-@pytest.mark.live
-def test_workers_end_with_a_driver_that_is_killed(made_drops: Path, tmp_path: Path):
-    out = tmp_path / "out"
-    words = [str(BIN / "tunenet-tune"), str(made_drops), "-o", str(out), "--jobs", "2", "--quiet"]
-    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as driver:
-        deadline = time.monotonic() + 60
-        while not _journal_lines(out) and time.monotonic() < deadline:
-            time.sleep(0.01)
-        workers = Path(f"/proc/{driver.pid}/task/{driver.pid}/children").read_text().split()
-        driver.kill()
-    assert workers
-    deadline = time.monotonic() + 60
-    while any(_lives(int(one)) for one in workers):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def _lives(process: int) -> bool:
@@ -224,32 +198,7 @@ def test_a_ledger_is_written_by_one_process_at_a_time(tmp_path: Path):
         pass
 
 
-@pytest.mark.parametrize("data", [b"PAR1 no table", b""])
-def test_what_is_no_ledger_is_not_replaced(tmp_path: Path, data: bytes):
-    ledger_file(tmp_path).write_bytes(data)
-    with pytest.raises(LogError, match=r"ledger\.parquet"), journal(tmp_path):
-        pass
-    assert ledger_file(tmp_path).read_bytes() == data
-
-
-def test_another_table_with_logs_is_not_taken_for_a_ledger(tmp_path: Path):
-    pd.DataFrame({"log": ["a.mcap"], "value": [1.0]}).to_parquet(ledger_file(tmp_path))
-    before = ledger_file(tmp_path).read_bytes()
-    with pytest.raises(LogError, match="is no ledger that tunenet-logs wrote"), journal(tmp_path):
-        pass
-    assert ledger_file(tmp_path).read_bytes() == before
-
-
-def test_options_of_the_ledger_need_its_folder(made_drops: Path, command: Command):
-    done = command("tunenet-tune", str(made_drops), "--resume")
-    assert done.returncode == 2
-    assert "give it" in done.stderr
-
-
-def test_everything_is_reviewed_unless_it_is_said_otherwise():
-    assert Writing().reviewed == {"ok", "suspect", "rejected"}
-
-
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_logs(tmp_path: Path):
     """Of one process, between its 30th log and its 90th."""
     for seed in range(6):
@@ -284,6 +233,7 @@ def test_a_disk_that_is_full_loses_nothing(made_drops: Path, tmp_path: Path):
         capture_output=True,
         text=True,
         timeout=120,
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},  # it would be cut, and stay so
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000)),
     )
     assert full.returncode == 1
@@ -326,24 +276,35 @@ def test_a_journal_is_read_as_a_strangers_file(tmp_path: Path, data: bytes):
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize(
-    "columns",
-    [
-        {"restitution": [[1, 2, 3]]},
-        {"bytes": [{"a": 1}]},
-        {"results": [b"bytes"]},
-        {"verdict": ["fine"]},
-        {"reason": ["A" * 5_000_000]},
-    ],
-    ids=",".join,
-)
-def test_a_table_is_read_as_a_strangers_file(tmp_path: Path, columns: dict[str, Any]):
+def table_of(metadata: dict[bytes, bytes] | None = None, **columns: Any) -> bytes:
     table = pa.table({"log": ["x"], "verdict": ["ok"], **columns})
+    sink = pa.BufferOutputStream()
+    parquet.write_table(table.replace_schema_metadata(metadata), sink)
+    return sink.getvalue().to_pybytes()
+
+
+OURS = {b"tunenet-logs": b"ledger"}
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"PAR1 no table",
+        table_of(value=[1.0]),
+        table_of(OURS, restitution=[[1, 2, 3]]),
+        table_of(OURS, bytes=[{"a": 1}]),
+        table_of(OURS, results=[b"bytes"]),
+        table_of(OURS, verdict=["fine"]),
+        table_of(OURS, reason=["A" * 5_000_000]),
+    ],
+    ids=lambda data: f"{len(data)}",
+)
+def test_a_table_is_read_as_a_strangers_file(tmp_path: Path, data: bytes):
     path = ledger_file(tmp_path)
-    parquet.write_table(table.replace_schema_metadata({b"tunenet-logs": b"ledger"}), path)
-    before = path.read_bytes()
-    match = r"ledger\.parquet: .*; move it away, or choose"
+    path.write_bytes(data)
+    match = r"ledger\.parquet: .*; move it away, or choose|is no ledger that tunenet-logs wrote"
     with pytest.raises(LogError, match=match), journal(tmp_path):
         pass
-    assert path.read_bytes() == before
+    assert path.read_bytes() == data
     assert list(tmp_path.iterdir()) == [path]

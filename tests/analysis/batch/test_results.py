@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+import os
 from pathlib import Path
 
 import pytest
 
+from tests.analysis.batch.test_ledger import write_drop
 from tests.conftest import record, tune_all
-from tunenet_logs.analysis.batch.logs import FoundLog, result_names
+from tunenet_logs.analysis.batch.logs import FoundLog, find_logs, result_names
 from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.errors import LogError, UsageError, WeightsError
+from tunenet_logs.errors import UsageError, WeightsError
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
+PLAIN = TuneOptions()
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -23,7 +24,7 @@ def test_a_bad_log_never_stops_the_rest(tmp_path: Path, jobs: int):
     good = [record(tmp_path / f"{name}.mcap", restitution=0.6, height_m=1.0) for name in ("a", "c")]
     (tmp_path / "b.mcap").write_text("not a log")
     logs = [good[0], tmp_path / "b.mcap", tmp_path / "missing.mcap", good[1]]
-    results = tune_all(logs, TuneOptions(), tmp_path / "out", jobs, QUIET)
+    results = tune_all(logs, PLAIN, tmp_path / "out", jobs, QUIET)
     assert [result.row.record.verdict for result in results] == ["ok", "rejected", "rejected", "ok"]
     assert [result.row.log for result in results] == logs
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
@@ -34,24 +35,30 @@ def test_a_bad_log_never_stops_the_rest(tmp_path: Path, jobs: int):
     assert report["reason"]
 
 
-def test_a_log_that_is_tuned_again_replaces_its_own_results(tmp_path: Path):
-    path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
-    tune_all([path], TuneOptions(), None, 1, QUIET)
-    (result,) = tune_all([path], TuneOptions(method="fit"), None, 1, QUIET)
+def test_a_log_that_is_tuned_again_replaces_its_own_results(drop_log: Path):
+    """And those of a run that was killed between the two; one that is gone has its kept."""
+    written = drop_log.with_suffix(".json")
+    tune_all([drop_log], PLAIN, None, 1, QUIET)
+    (result,) = tune_all([drop_log], TuneOptions(method="fit"), None, 1, QUIET)
     assert result.trouble is None
-    written = json.loads((tmp_path / "a.json").read_text())
-    assert written["method"] == "fit"
-    assert written["provenance"]["options"] == {"method": "fit"}
-    assert not list(tmp_path.glob("*.partial"))
+    report = json.loads(written.read_text())
+    assert report["method"] == "fit"
+    assert report["provenance"]["options"] == {"method": "fit"}
+    written.unlink()
+    (result,) = tune_all([drop_log], PLAIN, None, 1, QUIET)
+    assert result.trouble is None
+    before = written.read_bytes()
+    drop_log.unlink()
+    (result,) = tune_all([drop_log], PLAIN, None, 1, QUIET)
+    assert "no such file" in (result.row.record.reason or "")
+    assert written.read_bytes() == before
+    assert not list(drop_log.parent.glob("*.partial"))
 
 
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        (
-            "other/a.mcap",
-            "is the tuning of another a.mcap, or of this one before it changed, not of",
-        ),
+        ("other/a.mcap", "of another a.mcap, or of this one before it changed, not of"),
         ("other.mcap", "is the tuning of a.mcap, not of"),
     ],
 )
@@ -60,113 +67,54 @@ def test_results_of_another_log_are_never_replaced_silently(tmp_path: Path, name
     path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
     other = record(tmp_path / name, restitution=0.8, height_m=1.0)
     out = tmp_path / "out"
-    tune_all([path], TuneOptions(), out, 1, QUIET)
+    tune_all([path], PLAIN, out, 1, QUIET)
     if other.stem != "a":
         for suffix in (".json", ".rrd"):
             (out / f"a{suffix}").rename(out / f"other{suffix}")
     before = {file.name: file.read_bytes() for file in out.iterdir()}
-    (result,) = tune_all([other], TuneOptions(), out, 1, QUIET)
-    assert said in (result.trouble or "")
-    assert str(other) in (result.trouble or "")
-    assert "--overwrite" in (result.trouble or "")
+    (result,) = tune_all([other], PLAIN, out, 1, QUIET)
+    assert all(one in (result.trouble or "") for one in (said, str(other), "--overwrite"))
     assert {file.name: file.read_bytes() for file in out.iterdir()} == before
-    (result,) = tune_all([other], TuneOptions(), out, 1, QUIET, overwrite=True)
+    (result,) = tune_all([other], PLAIN, out, 1, QUIET, overwrite=True)
     assert result.trouble is None
     assert json.loads((out / f"{other.stem}.json").read_text())["log"] == other.name
 
 
-def test_what_is_no_result_is_never_replaced_silently(tmp_path: Path):
-    path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
-    (tmp_path / "a.json").write_text("mine")
-    (result,) = tune_all([path], TuneOptions(), None, 1, QUIET)
-    assert "a.json: exists, and is no tuning that tunenet-logs wrote" in (result.trouble or "")
-    assert (tmp_path / "a.json").read_text() == "mine"
-    (tmp_path / "a.json").unlink()
-    (tmp_path / "a.rrd").write_bytes(b"RRF2 of something else")
-    (result,) = tune_all([path], TuneOptions(), None, 1, QUIET)
-    assert "a.rrd: exists, and is no review that tunenet-logs wrote" in (result.trouble or "")
+@pytest.mark.parametrize(
+    ("logs", "names"),
+    [
+        ("a.mcap b.mcap b.mp4", "a b.mcap b.mp4"),
+        ("left/drop.mcap right/drop.mcap", "left_drop right_drop"),
+        ("drop.1.mcap drop.2.mcap", "drop.1 drop.2"),
+        ("drop.mcap.active", "drop"),
+    ],
+)
+def test_results_are_called_by_their_log_and_never_alike(tmp_path: Path, logs: str, names: str):
+    found = [FoundLog(tmp_path / one) for one in logs.split()]
+    assert [one.name for one in result_names(found, tmp_path / "out")] == names.split()
 
 
-def test_a_log_that_is_gone_is_missing_and_its_results_stay(tmp_path: Path):
-    path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
-    tune_all([path], TuneOptions(), None, 1, QUIET)
-    before = (tmp_path / "a.json").read_bytes()
-    path.unlink()
-    (result,) = tune_all([path], TuneOptions(), None, 1, QUIET)
-    assert "no such file" in (result.row.record.reason or "")
-    assert (tmp_path / "a.json").read_bytes() == before
+def test_a_log_by_two_names_is_tuned_once(drop_log: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(drop_log.parent)
+    assert len(tune_all([Path(drop_log.name), drop_log, drop_log], PLAIN, None, 2, QUIET)) == 1
 
 
-def test_a_review_without_its_json_is_known_by_its_log(tmp_path: Path):
-    """A run that was killed between the two is no obstacle to the next."""
-    path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
-    tune_all([path], TuneOptions(), None, 1, QUIET)
-    (tmp_path / "a.json").unlink()
-    (result,) = tune_all([path], TuneOptions(), None, 1, QUIET)
-    assert result.trouble is None
-
-
-def test_logs_of_one_stem_get_their_folders_names(tmp_path: Path):
-    logs = []
-    for folder in ("left", "right"):
-        (tmp_path / folder).mkdir()
-        logs.append(record(tmp_path / folder / "drop.mcap", restitution=0.6, height_m=1.0))
-    tune_all(logs, TuneOptions(), tmp_path / "out", 1, QUIET)
-    names = sorted(path.name for path in (tmp_path / "out").glob("*.json"))
-    assert names == ["left_drop.json", "right_drop.json"]
-
-
-def test_a_log_and_a_film_of_one_name_keep_their_suffixes(tmp_path: Path):
-    logs = [FoundLog(tmp_path / name) for name in ("a.mcap", "b.mcap", "b.mp4")]
-    names = result_names(logs, tmp_path / "out")
-    assert [name.name for name in names] == ["a", "b.mcap", "b.mp4"]
-
-
-def test_the_same_log_twice_is_tuned_once(tmp_path: Path):
-    path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
-    assert len(tune_all([path, path], TuneOptions(), None, 1, QUIET)) == 1
-
-
-def test_an_output_that_is_a_file_is_refused_before_any_work(drop_log: Path):
-    with pytest.raises(LogError, match="not a folder"):
-        tune_all([drop_log], TuneOptions(), drop_log, 1, QUIET)
-
-
-def test_an_output_that_cannot_be_written_is_told_with_the_result(drop_log: Path):
-    (result,) = tune_all([drop_log], TuneOptions(), Path("/proc/nowhere"), 1, QUIET)
+def test_a_name_that_is_not_utf8_is_no_obstacle(drop_log: Path):
+    path = drop_log.rename(drop_log.with_name(os.fsdecode(b"bad\xff.mcap")))
+    (result,) = tune_all([path], PLAIN, None, 1, QUIET)
     assert result.row.record.verdict == "ok"
-    assert "cannot be written" in (result.trouble or "")
-
-
-def test_a_full_disk_is_one_line_and_leaves_no_half_file(drop_log: Path, tmp_path: Path):
-    code = f"""
-import resource, signal, sys
-from tunenet_logs.analysis.cli.tune import main
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
-sys.exit(main([{str(drop_log)!r}, "-o", {str(tmp_path / "out")!r}]))
-"""
-    words = [sys.executable, "-c", code]
-    result = subprocess.run(words, capture_output=True, text=True, timeout=60)
-    assert result.returncode == 1
-    assert "0.7000" in result.stdout
-    assert result.stderr.count("\n") == 1
-    assert "cannot be written (File too large)" in result.stderr
-    assert not list((tmp_path / "out").glob("*.rrd*"))
+    assert result.trouble is None
+    assert result.review is not None
+    assert result.review.exists()
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_weights_that_are_none_stop_at_once(drop_log: Path, tmp_path: Path, jobs: int):
-    other = record(tmp_path / "b.mcap", restitution=0.6, height_m=1.0)
+def test_what_fits_no_log_stops_at_once(drop_log: Path, tmp_path: Path, jobs: int):
+    logs = [drop_log, record(tmp_path / "b.mcap", restitution=0.6, height_m=1.0)]
     with pytest.raises(WeightsError):
-        tune_all([drop_log, other], TuneOptions(weights=drop_log), None, jobs, QUIET)
-
-
-@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_options_that_fit_no_log_stop_at_once(drop_log: Path, tmp_path: Path, jobs: int):
-    other = record(tmp_path / "b.mcap", restitution=0.6, height_m=1.0)
+        tune_all(logs, TuneOptions(weights=drop_log), None, jobs, QUIET)
     with pytest.raises(UsageError):
-        tune_all([drop_log, other], TuneOptions(initial=(2.0,)), None, jobs, QUIET)
+        tune_all(logs, TuneOptions(initial=(2.0,)), None, jobs, QUIET)
 
 
 @pytest.mark.parametrize("name", ["drop.json", "drop.rrd"])
@@ -174,28 +122,18 @@ def test_a_log_is_never_replaced_by_its_own_results(drop_log: Path, name: str):
     path = drop_log.rename(drop_log.with_name(name))
     before = path.read_bytes()
     with pytest.raises(UsageError, match="is a log"):
-        tune_all([path], TuneOptions(), None, 1, QUIET)
+        tune_all([path], PLAIN, None, 1, QUIET)
     assert path.read_bytes() == before
 
 
-def test_one_file_by_two_paths_is_tuned_once(drop_log: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.chdir(drop_log.parent)
-    assert len(tune_all([Path(drop_log.name), drop_log], TuneOptions(), None, 2, QUIET)) == 1
-
-
-def test_a_name_that_is_not_utf8_is_no_obstacle(drop_log: Path):
-    import os
-
-    path = drop_log.rename(drop_log.with_name(os.fsdecode(b"bad\xff.mcap")))
-    (result,) = tune_all([path], TuneOptions(), None, 1, QUIET)
-    assert result.row.record.verdict == "ok"
-    assert result.trouble is None
-    assert result.review is not None
-    assert result.review.exists()
-
-
-def test_what_follows_a_dot_in_a_name_stays_in_it(tmp_path: Path):
-    logs = [record(tmp_path / f"drop.{one}.mcap", restitution=0.6, height_m=1.0) for one in "12"]
-    tune_all(logs, TuneOptions(), tmp_path / "out", 1, QUIET)
-    names = sorted(one.name for one in (tmp_path / "out").glob("*.json"))
-    assert names == ["drop.1.json", "drop.2.json"]
+def test_links_in_circles_and_to_nowhere_are_left_out_and_patterns_are_what_they_say(
+    tmp_path: Path,
+):
+    drop = write_drop(tmp_path / "my runs [1]" / "a drop.mcap", 0)
+    (drop.parent / "again").symlink_to(drop.parent)
+    (drop.parent / "self.mcap").symlink_to(drop.parent / "self.mcap")
+    (drop.parent / "gone.mcap").symlink_to(tmp_path / "gone.mcap")
+    found = find_logs([drop.parent])
+    assert ([one.log for one in found.logs], found.left_out) == ([drop], 3)
+    for named in (tmp_path / "my runs*" / "a*.mcap", drop):
+        assert [one.log for one in find_logs([str(named)]).logs] == [drop]

@@ -1,34 +1,45 @@
-"""The review of a campaign: whole, small, and what happened on its timelines."""
+"""The review of a campaign: whole, small, and at every stop the attempt under the cursor alone."""
 
 from __future__ import annotations
 
 import json
+import re
+import shutil
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
 from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS
-from tests.analysis.drop.test_review import contents, verified
+from tests.analysis.drop.test_review import verified
+from tests.analysis.films import short_film
 from tests.analysis.review.stored import Stored
-from tests.conftest import ROOT, Command, film
-from tunenet_logs.analysis.campaign import TunedDrop
+from tests.conftest import ROOT, Command, Made, film
+from tunenet_logs.analysis.campaign import Campaign, TunedDrop, campaign_of
 from tunenet_logs.analysis.cli.review import main
-from tunenet_logs.analysis.record import Curves
-from tunenet_logs.analysis.review.campaign import _CurveAxes, _curves
-from tunenet_logs.images import decode_image
+from tunenet_logs.analysis.review.campaign import (
+    ATTEMPT,
+    FILM,
+    WALL,
+    Shown,
+    Slot,
+    slots_of,
+    write_campaign,
+)
+from tunenet_logs.terminal import Progress
 
 STATES = ("/ball", "/drop", "/restitution", "/shot")
 
 
 @pytest.fixture(scope="module")
-def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def campaign(tmp_path_factory: pytest.TempPathFactory, made: Made) -> Path:
     """Three attempts: filmed, after a rejected drop, and given up."""
     folder = tmp_path_factory.mktemp("campaign")
-    film(folder / "drop_1.mcap", restitution=0.7, height_m=1.0, seconds=2.0, hold_s=0.2, seed=5)
+    shutil.copy(short_film(made), folder / "drop_1.mcap")
     campaigns.tune(folder / "drop_1.mcap")
     campaigns.drop(folder / "drop_2a.mcap", is_bad=True)
     campaigns.drop(folder / "drop_2b.mcap", 0.72)
@@ -39,21 +50,20 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-Reviewed = tuple[Path, str]
-
-
 @pytest.fixture(scope="module")
-def reviewed(campaign: Path, command: Command) -> Reviewed:
-    """The review, and what the command printed."""
+def review(campaign: Path, command: Command) -> Path:
+    """Whole and small; what the command printed has the rates beside the paper's."""
     path = campaign / "review.rrd"
     done = command("tunenet-review", campaign, "-o", path, "--quiet", "--jobs", 1)
     assert done.returncode == 0, done.stderr
-    return path, done.stdout
-
-
-@pytest.fixture(scope="module")
-def review(reviewed: Reviewed) -> Path:
-    return reviewed[0]
+    assert "1/3 = 33 % (95 %: 6 to 79 %)   paper 62 %" in done.stdout
+    assert "1/2 = 50 % (95 %: 9 to 91 %)   paper 87 %" in done.stdout
+    (mean,) = re.findall(r"restitution ([\d.]+) ±", done.stdout)
+    assert float(mean) == pytest.approx(0.71, abs=0.005)
+    verified(path)
+    assert path.stat().st_size < 3_000_000
+    assert not list(campaign.glob("*.partial"))
+    return path
 
 
 def rows(path: Path, entity: str, timeline: str, component: str) -> list[tuple]:
@@ -66,12 +76,6 @@ def rows(path: Path, entity: str, timeline: str, component: str) -> list[tuple]:
             if name is not None:
                 found += zip(batch[timeline], batch[name], strict=True)
     return sorted(found, key=lambda one: one[0])
-
-
-def test_it_is_whole_and_small(review: Path):
-    verified(review)
-    assert review.stat().st_size < 3_000_000
-    assert [one.name for one in review.parent.glob("*.partial")] == []
 
 
 def drawn(path: Path, lane: str, timeline: str) -> list[str]:
@@ -105,26 +109,12 @@ def test_the_lanes_say_what_happened(review: Path):
 
 
 def test_each_attempt_has_its_curves_and_its_words(review: Path):
-    observed = rows(review, "/sheets/overlay/observed", "attempt", "positions")
-    assert [len(places or ()) > 20 for _, places in observed] == [True, True, False]
+    curves = rows(review, "/sheets/overlay/observed", "attempt", "positions")
+    assert [len(places or ()) > 20 for _, places in curves] == [True, True, False]
     words = [text[0] for _, text in rows(review, "/attempt", "attempt", "text")]
-    assert "**success**" in words[0]
-    assert "shot from 0.620 m" in words[0]
-    assert "rejected drop drop_2a.mcap" in words[1]
-    assert "rim" in words[1]
+    assert all(one in words[0] for one in ("**success**", "shot from 0.620 m"))
+    assert all(one in words[1] for one in ("rejected drop drop_2a.mcap", "rim"))
     assert "given up without a shot" in words[2]
-
-
-def test_its_video_is_small_and_slow(review: Path):
-    pictures = rows(review, "/film/picture", "film_s", "blob")
-    pictures = [
-        one for one, is_film in zip(pictures, filmed(review, "film_s"), strict=True) if is_film
-    ]
-    decoded = [decode_image(bytes(blob[0]), "jpeg") for _, blob in pictures]
-    assert len(decoded) > 40
-    assert {max(one.shape) for one in decoded} == {160}
-    at_s = np.unique([time.total_seconds() for time, _ in pictures])
-    assert np.diff(at_s).min() > 0.9 / 30
 
 
 def shown(path: Path, entity: str, timeline: str, component: str) -> list[bool]:
@@ -132,79 +122,41 @@ def shown(path: Path, entity: str, timeline: str, component: str) -> list[bool]:
     return [bool(value) for _, value in rows(path, entity, timeline, component)]
 
 
-def filmed(path: Path, timeline: str) -> list[bool]:
-    """Whether a picture of a drop is to be seen, row by row; a blank one is nearly black."""
-    pictures = [bytes(blob[0]) for _, blob in rows(path, "/film/picture", timeline, "blob")]
-    return [bool(np.median(decode_image(one, "jpeg")) > 30) for one in pictures]
+def reviewed(folder: Path) -> Path:
+    assert main([str(folder), "-o", str(folder / "a.rrd"), "--quiet"]) == 0
+    return folder / "a.rrd"
 
 
-def test_no_attempt_shows_the_pictures_of_another(review: Path):
-    assert filmed(review, "attempt") == [True, False, False]
-    assert filmed(review, "wall_clock") == [True, False, False]
-    played = filmed(review, "film_s")
-    assert played[-3:] == [False] * 3  # two drops of the second attempt, one of the third
-    assert all(played[:-3])
-    dots = shown(review, "/sheets/overlay/now", "film_s", "positions")
-    assert not dots[-1]
-
-
-VIEWS = {
-    **dict.fromkeys(STATES, "state"),
-    "/sheets/overlay/observed": "positions",
-    "/sheets/overlay/simulated": "strips",
-    "/film/picture": "blob",
-    "/attempt": "text",
-}
-
-
-def test_each_view_has_data_on_every_timeline_from_its_beginning(review: Path):
-    timelines = {name for chunk in RrdReader(review).stream() for name in chunk.timeline_names}
-    assert timelines == {"attempt", "film_s", "wall_clock"}
-    for timeline in timelines:
-        begins = {
-            entity: rows(review, entity, timeline, component)[0][0]
-            for entity, component in VIEWS.items()
-        }
-        assert len(set(begins.values())) == 1, (timeline, begins)
-
-
-def test_an_outcome_without_a_drop_shows_no_others(tmp_path: Path):
+def test_the_wall_clock_has_each_shot_and_one_without_a_drop_shows_no_others(tmp_path: Path):
     campaigns.drop_at(tmp_path / "drop_1.mcap", START_NS)
-    campaigns.outcome(tmp_path, 1, drop_log="drop_1.mcap", stamp_ns=START_NS + MINUTE_NS)
-    campaigns.outcome(tmp_path, 2, stamp_ns=START_NS + 2 * MINUTE_NS)
-    assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
+    for number in (1, 2, 3):
+        said: dict[str, Any] = {"stamp_ns": START_NS + number * MINUTE_NS}
+        campaigns.outcome(tmp_path, number, drop_log="drop_1.mcap" * (number < 3), **said)
+    path = reviewed(tmp_path)
     for timeline in ("attempt", "film_s", "wall_clock"):
-        curves = shown(tmp_path / "a.rrd", "/sheets/overlay/observed", timeline, "positions")
-        assert curves == [True, False]
-    assert len(rows(tmp_path / "a.rrd", "/attempt", "wall_clock", "text")) == 2
-
-
-def test_two_shots_with_one_drop_are_both_on_the_wall_clock(tmp_path: Path):
-    campaigns.drop_at(tmp_path / "drop_1.mcap", START_NS)
-    for number in (1, 2):
-        stamp_ns = START_NS + number * MINUTE_NS
-        campaigns.outcome(tmp_path, number, drop_log="drop_1.mcap", stamp_ns=stamp_ns)
-    assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
-    words = rows(tmp_path / "a.rrd", "/attempt", "wall_clock", "text")
-    assert ["attempt 1" in words[0][1][0], "attempt 2" in words[1][1][0]] == [True, True]
-
-
-def test_the_tables_hold_the_rates(reviewed: Reviewed):
-    review, said = reviewed
-    assert {"static"} <= contents(review)["/summary"]
-    assert "1/3 = 33 % (95 %: 6 to 79 %)   paper 62 %" in said
-    assert "1/2 = 50 % (95 %: 9 to 91 %)   paper 87 %" in said
-    assert "restitution 0.71" in said
-
-
-def test_the_wall_clock_is_there_where_stamps_are(tmp_path: Path):
-    campaigns.drop_at(tmp_path / "drop_1.mcap", START_NS)
-    campaigns.outcome(tmp_path, 1, drop_log="drop_1.mcap", stamp_ns=START_NS + MINUTE_NS)
-    assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
-    ((begun, _),) = rows(tmp_path / "a.rrd", "/drop", "wall_clock", "state")
-    before, (ended, _) = rows(tmp_path / "a.rrd", "/shot", "wall_clock", "state")
+        curves = shown(path, "/sheets/overlay/observed", timeline, "positions")
+        assert curves[0]
+        assert not curves[-1]
+    words = rows(path, "/attempt", "wall_clock", "text")
+    assert all(f"attempt {at}" in text[0] for at, (_, text) in enumerate(words, 1))
+    assert len(words) == 3
+    (begun, _), *_ = rows(path, "/drop", "wall_clock", "state")
+    before, (ended, _), *_ = rows(path, "/shot", "wall_clock", "state")
     assert before == (begun, [])
     assert (ended - begun).total_seconds() == pytest.approx(60, abs=1)
+
+
+def test_a_log_that_cannot_be_read_is_named_and_is_no_attempt(command: Command, tmp_path: Path):
+    broken, output = tmp_path / "broken.mcap", tmp_path / "a.rrd"
+    broken.write_bytes(bytes(range(200)))
+    words = ("tunenet-review", "--quiet", "--jobs", 1, "-o", output, broken)
+    assert command(*words).returncode == 1
+    told = command(*words, ROOT / "sample_logs" / "bouncy.mcap")
+    assert told.returncode == 1
+    assert f"{broken}: is not an MCAP log" in told.stderr
+    assert "nothing kept: 1" in told.stderr
+    assert "0.85" in told.stdout
+    verified(output)
 
 
 def test_outcomes_alone_are_a_campaign(command: Command, tmp_path: Path):
@@ -216,77 +168,30 @@ def test_outcomes_alone_are_a_campaign(command: Command, tmp_path: Path):
     verified(tmp_path / "today.rrd")
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "told"),
-    [
-        (("none", "-o", "a.rrd"), 1, "none: no such file"),
-        ((".", "-o", "a.rrd"), 1, "holds no drop and no outcome"),
-        ((".", "-o", "a.mcap"), 2, "name it a.rrd"),
-        ((".", "-o", "none/a.rrd"), 2, "none: no such folder"),
-        ((".",), 2, "-o"),
-    ],
-)
-def test_wrong_words_are_one_line(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
-    words: tuple,
-    code: int,
-    told: str,
-):
-    monkeypatch.chdir(tmp_path)
-    assert main(list(words)) == code
-    error = capsys.readouterr().err
-    assert told in error
-    assert error.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_log_that_cannot_be_read_is_named_and_is_no_attempt(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-):
-    broken = tmp_path / "broken.mcap"
-    broken.write_bytes(bytes(range(200)))
-    output = tmp_path / "a.rrd"
-    words = ["--quiet", "--jobs", "1", "-o", str(output), str(broken)]
-    assert main(words) == 1
-    assert main([*words, str(ROOT / "sample_logs" / "bouncy.mcap")]) == 1
-    told = capsys.readouterr()
-    assert f"{broken}: is not an MCAP log" in told.err
-    assert "nothing kept: 1" in told.err
-    assert "0.85" in told.out
-    verified(output)
-
-
-def test_an_attempt_tells_the_slope_and_drag_that_were_tuned(tmp_path: Path):
+def test_an_attempt_tells_slope_and_drag_and_leaves_out_samples_that_are_not_known(tmp_path: Path):
     path = campaigns.drop(tmp_path / "drop_1.mcap").with_suffix(".json")
     before = json.loads(path.read_text())["parameters"]
     slope = {"value": 0.06, "interval95": [0.03, 0.09], "unit": "1"}
     drag = {"value": 0.013, "interval95": None, "unit": "1/m"}
     both = {"restitution_slope": slope, "drag": drag}
-    campaigns.told(path, parameters={"restitution": before["restitution"], **both})
-    assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
-    words = rows(tmp_path / "a.rrd", "/attempt", "attempt", "text")[0][1][0]
+    curves = {"start_ns": 0, "seconds": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]}
+    curves["observed_m"] = [1.0, None, 0.5, 0.4, 0.2, 0.1]
+    curves["simulated_m"] = [None, 1.0, 0.8, None, 0.5, 0.4]
+    told = {"parameters": {"restitution": before["restitution"], **both}, "curves": curves}
+    campaigns.told(path, **told)
+    review = reviewed(tmp_path)
+    words = rows(review, "/attempt", "attempt", "text")[0][1][0]
     assert "restitution slope 0.060 (95 %: 0.030 to 0.090)" in words
     assert "drag 0.013 1/m\n" in words
-
-
-def test_samples_that_are_not_known_are_left_out_of_the_curves():
-    observed = np.array([1.0, np.nan, 0.5, 0.4, 0.2, 0.1])
-    simulated = np.array([np.nan, 1.0, 0.8, np.nan, 0.5, 0.4])
-    overlay = Curves(0, np.arange(6.0), observed, simulated)
-    drop = TunedDrop(None, None, "a", "gel", "ok", "", 0.7, None, overlay)
-    axes = _CurveAxes(5.0, 1.0)
-    seen, line = _curves(drop, axes)
-    assert len(seen) == 5
-    assert [len(stretch) for stretch in line] == [2, 2]
+    ((_, dots),) = rows(review, "/sheets/overlay/observed", "attempt", "positions")
+    ((_, strips),) = rows(review, "/sheets/overlay/simulated", "attempt", "strips")
+    assert (len(dots), [len(stretch) for stretch in strips]) == (5, [2, 2])
 
 
 def test_of_many_balls_the_charts_show_the_first_and_the_tables_all(tmp_path: Path):
     for number in range(20):
         campaigns.outcome(tmp_path, 1, f"ball {number}", tuned_parameter=0.6 + 0.01 * number)
-    assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
-    stored = Stored(tmp_path / "a.rrd")
+    stored = Stored(reviewed(tmp_path))
     titles = [view.name for view in stored.views]
     for sheet, count in (("rates", 23), ("spreads", 20)):
         (labels,) = stored.entities[f"/sheets/{sheet}/labels"]["Points2D:labels"].static
@@ -294,3 +199,102 @@ def test_of_many_balls_the_charts_show_the_first_and_the_tables_all(tmp_path: Pa
         assert any(f"(the first 12 of {count})" in title for title in titles)
     (words,) = stored.entities["/summary"]["TextDocument:text"].static
     assert all(f"| ball {number} |" in words.as_py()[0] for number in range(20))
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
+    """Filmed; filmed and rejected; not filmed; not filmed, then filmed; no drop; filmed."""
+    folder = tmp_path_factory.mktemp("stops")
+    films = [("drop_1", 1.4), ("drop_2", 0.45), ("drop_4b", 1.4), ("drop_6", 0.45)]
+    for seed, (name, seconds) in enumerate(films):
+        path = folder / f"{name}.mcap"
+        film(path, restitution=0.7, height_m=1.0, seconds=seconds, hold_s=0.2, seed=seed)
+        campaigns.tune(path)
+    campaigns.drop(folder / "drop_3.mcap")
+    campaigns.drop(folder / "drop_4a.mcap", is_bad=True)
+    names = ["drop_1", "drop_2", "drop_3", "drop_4b", None, "drop_6"]
+    for number, name in enumerate(names, 1):
+        said = {} if name is None else {"drop_log": f"{name}.mcap"}
+        campaigns.outcome(folder, number, success=name == "drop_1", **said)
+    return campaign_of([folder], 1, Progress(quiet=True), pytest.fail)
+
+
+@pytest.fixture(scope="module")
+def stored(played: Campaign, tmp_path_factory: pytest.TempPathFactory) -> Stored:
+    path = tmp_path_factory.mktemp("stops") / "a.rrd"
+    write_campaign(played, path)
+    return Stored(path)
+
+
+def begins(timeline: str, slot: Slot, shown: Shown | None) -> int | None:
+    """When a drop, or an attempt without one, begins on a timeline; None where it never does."""
+    if timeline == ATTEMPT:
+        return slot.attempt.number
+    if timeline == WALL:
+        return slot.drop_ns(shown)
+    return round(1e9 * (slot.start_s if shown is None else shown.start_s))
+
+
+# A timeline, a time on it, and whose turn it is then: the last that has begun.
+Stop = tuple[str, int, Slot, TunedDrop | None]
+
+
+def stops(played: Campaign, stored: Stored) -> Iterator[Stop]:
+    every = [(slot, shown) for slot in slots_of(played.attempts) for shown in slot.drops or [None]]
+    for timeline, times in stored.timelines.items():
+        for time in times.tolist():
+            begun = [
+                (at, index)
+                for index, (slot, shown) in enumerate(every)
+                if (at := begins(timeline, slot, shown)) is not None and at <= time
+            ]
+            slot, shown = every[max(begun)[1]]
+            yield timeline, time, slot, shown.drop if shown else None
+
+
+def at(stored: Stored, entity: str, component: str, stop: Stop) -> list:
+    return stored.entities[entity][component].at(stop[0], stop[1])
+
+
+def test_no_film_of_another_drop_stays(played: Campaign, stored: Stored):
+    drops = [drop for attempt in played.attempts for drop in attempt.drops]
+    films = [drop.film for drop in drops if drop.film is not None]
+    every = {picture for film in films for picture in (*film.pictures, film.strobe)}
+    seen: set[str] = set()
+    for stop in stops(played, stored):
+        (blob,) = at(stored, "/film/picture", "EncodedImage:blob", stop)
+        drop = stop[3]
+        if drop is None or drop.film is None:
+            assert bytes(blob) not in every, stop[:2]
+        else:
+            assert bytes(blob) in {*drop.film.pictures, drop.film.strobe}, stop[:2]
+            seen.add(drop.name)
+    assert seen == {"drop_1.mcap", "drop_2.mcap", "drop_4b.mcap", "drop_6.mcap"}
+
+
+def test_curves_dots_and_words_are_of_the_attempt_under_the_cursor(
+    played: Campaign, stored: Stored
+):
+    said: set[str] = set()
+    seen: set[tuple[str, int]] = set()
+    for stop in stops(played, stored):
+        timeline, _, slot, drop = stop
+        seen.add((timeline, slot.attempt.number))
+        dots = at(stored, "/sheets/overlay/observed", "Points2D:positions", stop)
+        words = at(stored, "/sheets/overlay/words", "Points2D:labels", stop)
+        has_curve = drop is not None and drop.overlay is not None
+        assert (bool(dots), bool(words)) == (has_curve, not has_curve), stop[:2]
+        dot = at(stored, "/sheets/overlay/now", "Points2D:positions", stop)
+        assert all(place in dots for place in dot), stop[:2]
+        (text,) = at(stored, "/attempt", "TextDocument:text", stop)
+        assert text.startswith(f"# {slot.attempt.number}: "), stop[:2]
+        said |= set(words)
+    assert said == {
+        "no curve: this drop was rejected",
+        "no drop was recorded for this attempt",
+    }
+    assert seen >= {(line, number) for line in (ATTEMPT, FILM) for number in range(1, 7)}
+    assert {timeline for timeline, _ in seen} == {ATTEMPT, FILM, WALL}
+    for tab in ("overview", "attempt", "tables"):
+        titles = [view.name for view in stored.views if tab in view.tabs]
+        assert any(title.startswith(f"{played.name}: ") for title in titles), tab

@@ -1,10 +1,14 @@
-"""A fitted drop recovers the truth, and says how sure it is."""
+"""A fitted drop recovers the truth, and says how sure it is and what it cannot tell."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.analysis.drop.made import real_drop, seen, smoothed
 from tunenet_logs.analysis.drop.bounce_fit import BounceFit, fit_positions
 from tunenet_logs.analysis.drop.bounce_model import (
     CONTACT,
@@ -21,8 +25,11 @@ from tunenet_logs.analysis.drop.bounce_posterior import (
     BallPosterior,
     ball_likelihoods,
     ball_posterior,
+    unidentifiable,
 )
 from tunenet_logs.analysis.drop.free_flight import Drop, find_drops
+from tunenet_logs.analysis.options import TuneOptions
+from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
 
@@ -39,16 +46,6 @@ def fitted(drop: Drop) -> BallPosterior:
     return ball_posterior(fit)
 
 
-@pytest.mark.parametrize("restitution", [0.05, 0.2, 0.5, 0.8, 0.97])
-def test_a_clean_drop_of_the_engine_is_recovered(restitution: float):
-    drop = recorded(restitution=restitution, height_m=1.3, rate_hz=120.0)
-    fit = fitted(drop)
-    assert fit.values[0] == pytest.approx(restitution, abs=3e-5)
-    low, high = fit.interval95[0]
-    assert low <= restitution <= high
-    assert high - low < 2e-4
-
-
 def test_noise_widens_the_interval_as_the_square_root_says():
     widths = []
     for noise_m in (0.001, 0.004):
@@ -56,15 +53,6 @@ def test_noise_widens_the_interval_as_the_square_root_says():
         low, high = fitted(drop).interval95[0]
         widths.append(high - low)
     assert widths[1] / widths[0] == pytest.approx(4, rel=0.25)
-
-
-@pytest.mark.parametrize(("restitution", "noise_m"), [(0.3, 0.001), (0.6, 0.005), (0.85, 0.01)])
-def test_a_noisy_drop_is_recovered_within_its_interval(restitution: float, noise_m: float):
-    drop = recorded(restitution=restitution, height_m=2.0, noise_m=noise_m, seed=3)
-    fit = fitted(drop)
-    assert fit.values[0] == pytest.approx(restitution, abs=0.005)
-    low, high = fit.interval95[0]
-    assert low <= restitution <= high
 
 
 @pytest.mark.slow
@@ -82,79 +70,24 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     assert 0 < missed < 14
 
 
-def real_drop(
-    restitution: float, *, slope: float = 0.0, drag_1_m: float = 0.0, noise_m: float, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Times and heights at 120 Hz of a ball that falls 1 m, integrated in steps of 0.1 ms."""
-    step, clock, height, speed, first = 1e-4, 0.0, 1.0, 0.0, 0.0
-    times, heights = [-1.0, 0.0], [1.0, 1.0]
-    while clock < 2.6:
-        push = -9.81 - drag_1_m * speed * abs(speed)
-        below = height + speed * step + push * step**2 / 2
-        if below < 0:
-            part = (speed + np.sqrt(speed**2 - 2 * push * height)) / -push
-            clock, height, speed = clock + part, 0.0, speed + push * part
-            first = first or -speed
-            speed *= -restitution * (-speed / first) ** -slope
-            if speed < 0.01:  # at rest
-                break
-        else:
-            clock, height, speed = clock + step, below, speed + push * step
-        times.append(clock)
-        heights.append(height)
-    times.append(clock + 1e-4)
-    heights.append(0.0 if clock < 2.6 else height)
-    seconds = np.arange(-0.4, 2.6, 1 / 120)
-    noise = np.random.default_rng(seed).normal(0.0, noise_m, len(seconds))
-    return seconds, np.interp(seconds, times, heights) + noise
-
-
-def held(count: int, *, averaged: int = 1, **ball: float) -> int:
-    """Of so many drops, how many intervals hold the truth, with a moving average if asked for."""
+@pytest.mark.slow
+def test_a_smoothed_track_is_right_and_a_little_too_sure():
+    """Of 40 drops 30 are ok, with errors of .0002; eight of ten of their intervals hold."""
     rng = np.random.default_rng(1)
-    found = 0
-    for seed in range(count):
+    ok = held = 0
+    for seed in range(40):
         truth = float(rng.uniform(0.5, 0.85))
-        seconds, heights = real_drop(truth, seed=seed, **ball)  # type: ignore[arg-type]
-        kernel = np.ones(averaged) / averaged
-        heights = np.convolve(np.pad(heights, averaged // 2, "edge"), kernel, "valid")
-        try:
-            drop = find_drops(seconds, heights)[0]
-        except NotFoundError:
-            continue
-        low, high = fitted(drop).interval95[0]
-        found += low <= truth <= high
-    return found
-
-
-def test_an_ideal_ball_s_intervals_are_narrow():
-    seconds, heights = real_drop(0.7, noise_m=0.001, seed=1)
-    low, high = fitted(find_drops(seconds, heights)[0]).interval95[0]
-    assert low <= 0.7 <= high
-    assert high - low < 0.002
-
-
-@pytest.mark.parametrize(
-    ("ball", "averaged", "least"),
-    [({"slope": 0.1}, 1, 7), ({"drag_1_m": 0.012}, 1, 6), ({}, 3, 6)],
-    ids=["bouncier when slower", "light as a golf ball", "smoothed track"],
-)
-def test_of_eight_real_balls_most_lie_in_their_intervals(
-    ball: dict[str, float], averaged: int, least: int
-):
-    assert held(8, averaged=averaged, noise_m=0.001, **ball) >= least
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("slope", [0.03, 0.1, 0.2])
-def test_intervals_hold_for_a_restitution_that_falls_with_speed(slope: float):
-    assert held(20, slope=slope, noise_m=0.001) >= 17
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("drag_1_m", "least"), [(0.012, 15), (0.018, 17)])
-def test_intervals_hold_for_balls_as_light_as_those_of_golf_and_tennis(drag_1_m: float, least: int):
-    assert held(20, drag_1_m=drag_1_m, noise_m=0.001) >= least
+        seconds, heights = real_drop(truth, seed=seed, noise_m=0.001)
+        stamps_ns = np.round((seconds - seconds[0]) * 1e9).astype(np.int64)
+        tuning = tune_episode(seen(smoothed(heights, 3), stamps_ns), TuneOptions())
+        if tuning.verdict == "ok":
+            assert tuning.estimate is not None
+            assert tuning.interval95 is not None
+            assert tuning.estimate[0] == pytest.approx(truth, abs=0.001)
+            low, high = tuning.interval95[0]
+            ok, held = ok + 1, held + (low <= truth <= high)
+    assert ok >= 24
+    assert held >= 0.75 * ok
 
 
 @pytest.mark.parametrize(
@@ -188,17 +121,6 @@ def test_a_known_ball_s_drag_is_taken_as_known():
     assert np.ptp(known.interval95[0]) <= 1.1 * np.ptp(fitted(drop).interval95[0])
 
 
-@pytest.mark.slow
-def test_intervals_hold_for_smoothed_tracks():
-    assert held(20, averaged=3, noise_m=0.001) >= 16
-
-
-def test_a_low_rebound_is_found():
-    drop = recorded(restitution=0.1, height_m=1.0, noise_m=0.0005)
-    low, high = fitted(drop).interval95[0]
-    assert low <= 0.1 <= high < 0.12
-
-
 def test_too_few_samples_give_no_fit():
     drop = recorded(restitution=0.5, height_m=1.0)
     few = slice(24, 33)
@@ -221,12 +143,102 @@ def test_a_fit_with_unknowns_that_no_sample_moves_is_judged():
 def test_a_smoothed_track_is_no_surer_than_the_samples_it_was_made_of():
     widths = {}
     for averaged in (1, 3):
-        kernel = np.ones(averaged) / averaged
         found = []
         for seed in range(4):
             seconds, heights = real_drop(0.7, noise_m=0.001, seed=seed)
-            padded = np.pad(heights, averaged // 2, "edge")
-            drop = find_drops(seconds, np.convolve(padded, kernel, "valid"))[0]
+            drop = find_drops(seconds, smoothed(heights, averaged))[0]
             found.append(np.ptp(fitted(drop).interval95[0]))
         widths[averaged] = np.median(found)
+    assert widths[1] < 0.002
     assert widths[3] > 0.9 * widths[1]
+
+
+@pytest.mark.parametrize(
+    ("restitution", "noise_m", "height_m", "off", "widest"),
+    [
+        *((one, 0.0, 1.3, 3e-5, 2e-4) for one in (0.05, 0.2, 0.5, 0.8, 0.97)),
+        (0.1, 0.0005, 1.0, 0.02, 0.04),
+        (0.3, 0.001, 2.0, 0.005, 0.02),
+        (0.6, 0.005, 2.0, 0.005, 0.02),
+        (0.85, 0.01, 2.0, 0.005, 0.02),
+    ],
+)
+def test_a_drop_of_the_engine_is_recovered(
+    restitution: float, noise_m: float, height_m: float, off: float, widest: float
+):
+    order = {"rate_hz": 120.0, "noise_m": noise_m, "seed": 3}
+    fit = fitted(recorded(restitution=restitution, height_m=height_m, **order))
+    assert fit.values[0] == pytest.approx(restitution, abs=off)
+    low, high = fit.interval95[0]
+    assert low <= restitution <= high
+    assert high - low < widest
+
+
+def held(count: int, *, averaged: int = 1, **ball: float) -> int:
+    """Of so many drops, how many intervals hold the truth, with a moving average if asked for."""
+    rng = np.random.default_rng(1)
+    found = 0
+    for seed in range(count):
+        truth = float(rng.uniform(0.5, 0.85))
+        seconds, heights = real_drop(truth, seed=seed, noise_m=0.001, **ball)  # type: ignore[arg-type]
+        try:
+            drop = find_drops(seconds, smoothed(heights, averaged))[0]
+        except NotFoundError:
+            continue
+        low, high = fitted(drop).interval95[0]
+        found += low <= truth <= high
+    return found
+
+
+@pytest.mark.parametrize(
+    ("ball", "averaged", "count", "least"),
+    [
+        ({"slope": 0.1}, 1, 8, 7),
+        ({"drag_1_m": 0.012}, 1, 8, 6),
+        ({}, 3, 8, 6),
+        *(
+            pytest.param(*row, marks=pytest.mark.slow)
+            for row in (
+                ({"slope": 0.03}, 1, 20, 17),
+                ({"slope": 0.1}, 1, 20, 17),
+                ({"slope": 0.2}, 1, 20, 17),
+                ({"drag_1_m": 0.012}, 1, 20, 15),  # as light as a golf ball
+                ({"drag_1_m": 0.018}, 1, 20, 17),
+            )
+        ),
+    ],
+)
+def test_intervals_hold_balls_that_differ_from_the_ideal(
+    ball: dict[str, float], averaged: int, count: int, least: int
+):
+    assert held(count, averaged=averaged, **ball) >= least
+
+
+@pytest.fixture
+def posterior(drop_log: Path) -> BallPosterior:
+    found = tune_log(drop_log, TuneOptions()).detection.posterior
+    assert found is not None
+    return found
+
+
+def test_a_log_of_many_bounces_leaves_nothing_open(posterior: BallPosterior):
+    assert unidentifiable(posterior) == ()
+    assert unidentifiable(replace(posterior, correlation=-0.99)) == ()  # both are told all the same
+
+
+def test_what_its_prior_says_is_named(posterior: BallPosterior):
+    ends = np.array([[0.5, 0.53], [-0.02, 0.15], [0.03, 0.06]])
+    (words,) = unidentifiable(
+        replace(posterior, told=np.array([0.0, 0.9]), correlation=0.0, interval95=ends)
+    )
+    assert words.startswith("this log cannot determine the slope: ")
+    assert words.endswith("from -0.020 to 0.150")
+
+
+def test_what_trades_places_cannot_be_told_apart(posterior: BallPosterior):
+    samples = posterior.fit.samples
+    view = posterior.fit.projection()
+    third_s = view.impact_s + view.fall_time_s * float(view.impacts(1e3)[2])
+    fit = replace(posterior.fit, samples=samples.only(samples.seconds < third_s - 0.01))
+    short = replace(posterior, told=np.array([0.2, 0.3]), correlation=-0.97, fit=fit)
+    assert unidentifiable(short) == ("drag and slope cannot be separated in this log: two flights",)

@@ -1,18 +1,22 @@
-"""Units that a log names, does not name, or names wrongly: what gravity tells of them."""
+"""Units that a log names, does not name, or names wrongly; tracks of pixels that jump or repeat."""
 
 from __future__ import annotations
 
 import json
-from typing import Any
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from tests.strangers import bounce_heights
+from tunenet_logs.analysis.drop import motion as problem
+from tunenet_logs.analysis.drop.track import ball_alone, without_jumps
 from tunenet_logs.analysis.experiment import record_of
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.record import to_json
-from tunenet_logs.analysis.tuning import tune_episode
+from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import FRAME_NS, UNSTATED, Episode, EpisodeInfo, Signal
 
 E, RATE_HZ, FALL_M = 0.72, 120.0, 1.1
@@ -63,103 +67,163 @@ def assert_tuned(answer: dict[str, Any], *, speed: bool = True) -> None:
         assert answer["parameters"]["drag"] == {"value": None, "interval95": None}
 
 
-@pytest.mark.parametrize("size", [1.0, 0.01, 0.001, 0.3048, 0.0254])
-def test_gravity_tells_the_unit_of_length(size: float):
-    answer = told(size)
-    assert answer["verdict"] == "ok", answer["reason"]
+class Units(NamedTuple):
+    """What a log is in, and what its record says of that; what is None is not told."""
+
+    log: dict[str, Any]
+    length_m: float | None
+    length_by: str | None
+    rate_by: str | None
+    speed: bool = True
+
+
+UNITS = {
+    **{
+        f"{size} m": Units({"size": size}, size, "gravity", "clock")
+        for size in (1.0, 0.01, 0.001, 0.3048, 0.0254)
+    },
+    "metres": Units({"unit": "m"}, 1.0, "named", "clock"),
+    "some pixels": Units({"size": 1 / 412}, None, None, "clock", False),
+    "pixels": Units({"size": 1 / 412, "unit": "px"}, None, None, "clock", False),
+    "milliseconds": Units({"clock": 1000.0}, 1.0, "gravity", "gravity"),
+    "slow motion": Units({"clock": 8.0}, None, None, "clock", False),
+    "frames in metres": Units({"unit": "m", "frames": True}, 1.0, "named", "gravity"),
+    "frames": Units({"size": 0.01, "frames": True}, None, None, None, False),
+    "frames in pixels": Units(
+        {"size": 0.01, "unit": "px", "frames": True}, None, None, None, False
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_gravity_tells_what_nobody_named(name: str):
+    log, length_m, length_by, rate_by, speed = UNITS[name]
+    answer = told(**log)
+    if not log.get("frames"):
+        assert answer["verdict"] == "ok", answer["reason"]
     units = answer["units"]
-    assert units["length_m"] == size
-    assert units["length_by"] == "gravity"
-    assert units["rate_hz"] == pytest.approx(RATE_HZ, rel=1e-3)
-    assert units["rate_by"] == "clock"
-    assert_tuned(answer)
-
-
-@pytest.mark.parametrize("unit", [UNSTATED, "px"])
-def test_pixels_tell_a_restitution_and_no_speed(unit: str):
-    answer = told(1 / 412.0, unit)
-    assert answer["verdict"] == "ok", answer["reason"]
-    assert answer["units"]["length_m"] is None
-    assert answer["units"]["length_by"] is None
-    assert answer["units"]["rate_by"] == "clock"
-    assert_tuned(answer, speed=False)
-
-
-def test_named_metres_are_taken_at_their_word():
-    answer = told(1.0, "m")
-    assert answer["verdict"] == "ok", answer["reason"]
-    assert answer["units"] == {
-        "length_m": 1.0,
-        "length_by": "named",
-        "rate_hz": pytest.approx(RATE_HZ, rel=1e-3),
-        "rate_by": "clock",
-    }
-    assert_tuned(answer)
-
-
-@pytest.mark.parametrize(("size", "name"), [(0.001, "mm"), (0.0254, "in"), (1 / 412, "pixels")])
-def test_metres_that_fall_otherwise_are_doubted(size: float, name: str):
-    answer = told(size, "m")
-    assert answer["verdict"] == "suspect"
-    assert f"in {name}" in answer["reason"]
-    assert answer["parameters"]["restitution"]["value"] == pytest.approx(E, abs=0.003)
-    assert answer["bounces"][0]["impact_speed"] is None
-
-
-def test_stamps_in_milliseconds_are_doubted():
-    answer = told(1.0, "m", clock=1000.0)
-    assert answer["verdict"] == "suspect"
-    assert "stamps are in ms" in answer["reason"]
-    assert answer["parameters"]["restitution"]["value"] == pytest.approx(E, abs=0.003)
-
-
-def test_milliseconds_of_an_unnamed_clock_are_told_by_gravity():
-    answer = told(1.0, clock=1000.0)
-    assert answer["verdict"] == "ok", answer["reason"]
-    assert answer["units"]["rate_hz"] == pytest.approx(RATE_HZ, rel=1e-3)
-    assert answer["units"]["rate_by"] == "gravity"
-    assert_tuned(answer)
-
-
-def test_a_slow_motion_of_unnamed_units_tells_no_speed():
-    answer = told(1.0, clock=8.0)
-    assert answer["verdict"] == "ok", answer["reason"]
-    assert answer["units"]["length_m"] is None
-    assert_tuned(answer, speed=False)
-
-
-def test_frames_of_metres_tell_their_rate():
-    answer = told(1.0, "m", frames=True)
-    units = answer["units"]
-    assert (units["length_m"], units["length_by"], units["rate_by"]) == (1.0, "named", "gravity")
-    assert units["rate_hz"] == pytest.approx(RATE_HZ, rel=0.02)
-    assert_tuned(answer)
-
-
-@pytest.mark.parametrize("unit", [UNSTATED, "px"])
-def test_frames_of_no_unit_tell_a_restitution_alone(unit: str):
-    answer = told(0.01, unit, frames=True)
-    assert list(answer["units"].values()) == [None] * 4
-    assert_tuned(answer, speed=False)
+    assert (units["length_m"], units["length_by"]) == (length_m, length_by)
+    if name != "slow motion":
+        assert units["rate_by"] == rate_by
+        expected = pytest.approx(RATE_HZ, rel=0.02 if log.get("frames") else 1e-3)
+        assert units["rate_hz"] == (expected if rate_by else None)
+    assert_tuned(answer, speed=speed)
 
 
 @pytest.mark.parametrize(
-    ("axes", "up"), [((1, 2, 0), "+y"), ((2, 0, 1), "+x"), ((0, 1, 2), "+z")], ids=["y", "x", "z"]
+    ("size", "clock", "said"),
+    [
+        (0.001, 1.0, "in mm"),
+        (0.0254, 1.0, "in in"),
+        (1 / 412, 1.0, "in pixels"),
+        (1.0, 1000.0, "stamps are in ms"),
+    ],
 )
-@pytest.mark.parametrize("unit", ["m", UNSTATED])
-def test_any_axis_may_be_up(axes: tuple[int, ...], up: str, unit: str):
-    answer = told(1.0 if unit else 0.001, unit, turn=np.eye(3)[list(axes)])
-    assert answer["verdict"] == "ok", answer["reason"]
-    assert_tuned(answer)
-    assert any(f"up is {up}" in words for words in answer["warnings"]) is (up != "+z")
+def test_metres_that_fall_otherwise_are_doubted(size: float, clock: float, said: str):
+    answer = told(size, "m", clock=clock)
+    assert answer["verdict"] == "suspect"
+    assert said in answer["reason"]
+    assert answer["parameters"]["restitution"]["value"] == pytest.approx(E, abs=0.003)
+    if size != 1:
+        assert answer["bounces"][0]["impact_speed"] is None
 
 
+TILT = np.radians(25.0)
+TURNS = {
+    "+y": np.eye(3)[[1, 2, 0]],
+    "+x": np.eye(3)[[2, 0, 1]],
+    "+z": np.eye(3),
+    "25 degrees off": np.array(
+        [[np.cos(TILT), 0, np.sin(TILT)], [0, 1, 0], [-np.sin(TILT), 0, np.cos(TILT)]]
+    ),
+}
+
+
+@pytest.mark.parametrize("up", TURNS)
 @pytest.mark.parametrize("unit", ["m", UNSTATED])
-def test_25_degrees_off_the_vertical(unit: str):
-    angle = np.radians(25.0)
-    turn = np.array(
-        [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
-    )
-    answer = told(1.0 if unit else 0.001, unit, turn=turn)
+def test_any_direction_may_be_up(up: str, unit: str):
+    answer = told(1.0 if unit else 0.001, unit, turn=TURNS[up])
     assert answer["verdict"] == "ok", answer["reason"]
     assert_tuned(answer)
+    if up in ("+x", "+y", "+z"):
+        assert any(f"up is {up}" in words for words in answer["warnings"]) is (up != "+z")
+
+
+# Of a drop that is filmed from the side; FALL in pictures.
+HEIGHT_PX, RESTITUTION, FALL = 600.0, 0.8, 11.0
+RUNS = (range(30, 31), range(40, 44), range(47, 48))
+
+
+def filmed(pictures: int = 100, hold: int = 10) -> Signal:
+    """A bouncing ball, a row a picture, in whole pixels, y down."""
+    t = np.arange(pictures, dtype=float) - hold - 0.3
+    heights = bounce_heights(RESTITUTION, HEIGHT_PX, t, 2 * HEIGHT_PX / FALL**2)
+    x = np.where(t < 0, 80.0, 80.0 + t)
+    places = np.stack([x, 900 - heights, np.zeros_like(x)], axis=1).round()
+    stamps = np.arange(pictures, dtype=np.int64) * 40_000_000
+    return Signal("track", stamps, places, ("x", "y", "z"), unit="")
+
+
+def with_jumps(signal: Signal, *runs: range) -> Signal:
+    values = signal.values.copy()
+    for run in runs:
+        values[run.start : run.stop] = [445.0, 25.0, 0.0]
+    return replace(signal, values=values)
+
+
+def with_repeats(signal: Signal, every: int) -> Signal:
+    """The pictures in `every` stamps one fewer, the first of them twice."""
+    stamps = np.arange(len(signal.values) * every // (every - 1))
+    values = signal.values[stamps * (every - 1) // every]
+    return replace(signal, stamps_ns=stamps.astype(np.int64) * 40_000_000, values=values)
+
+
+def write(path: Path, signal: Signal, names: str = "t,x,y", digits: int = 0) -> Path:
+    rows = [
+        f"{at * 1e-9:.6f},{x:.{digits}f},{y:.{digits}f}\n"
+        for at, (x, y, _) in zip(signal.stamps_ns.tolist(), signal.values.tolist(), strict=True)
+    ]
+    path.write_text(names + "\n" + "".join(rows))
+    return path
+
+
+@pytest.mark.parametrize("every", [0, 5, 10])
+@pytest.mark.parametrize("runs", [(), RUNS])
+def test_a_track_with_jumps_and_repeats_is_tuned_like_the_clean_one(
+    tmp_path: Path, runs: tuple[range, ...], every: int
+):
+    seen = with_jumps(filmed(), *runs)
+    seen = with_repeats(seen, every) if every else seen
+    tuning = tune_log(write(tmp_path / "a.csv", seen), TuneOptions())
+    estimate = record_of(tuning).estimates[0].value
+    assert estimate == pytest.approx(RESTITUTION, abs=0.01)
+    jumps = "6 samples of track jump away and back: they were left out"
+    assert any("there twice in track" in words for words in tuning.warnings) == bool(every)
+    if not every:
+        assert (jumps in tuning.warnings) == bool(runs)
+        assert tuning.detection.outliers == 6 * bool(runs)
+
+
+def test_what_is_elsewhere_too_often_and_what_is_named_in_metres_is_kept():
+    often = with_jumps(filmed(), *(range(at, at + 3) for at in range(20, 90, 7)))
+    seen = with_repeats(filmed(), 5)
+    still = replace(filmed(), values=np.full((100, 3), 7.0))
+    assert without_jumps(often) is None
+    for kept in (still, replace(seen, unit="m", values=seen.values * 1e-3)):
+        assert ball_alone(kept) is None
+
+
+def test_a_fall_of_miles_is_told_in_metres_only_where_there_are_any(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    pixels = filmed()
+    stamps = np.arange(100, dtype=np.int64) * 31_795_000  # 0.6 m in 11 of them
+    metres = replace(pixels, stamps_ns=stamps, values=(900 - pixels.values) * 1e-3)
+    logs = {
+        "are the lengths in mm or cm?": write(tmp_path / "m.csv", metres, "t_s,x_m,y_m", 3),
+        "no fall of a ball is seen in it": write(tmp_path / "px.csv", pixels),
+    }
+    monkeypatch.setattr(problem, "_HIGHEST_SIMULATED_M", 0.0)
+    monkeypatch.setattr(problem, "HIGHEST_M", 0.0)
+    for said, log in logs.items():
+        assert said in (record_of(tune_log(log, TuneOptions())).reason or "")

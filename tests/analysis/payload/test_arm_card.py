@@ -16,7 +16,7 @@ from tunenet_logs.analysis.evaluation.worlds.arm import FULL, stranger_runs
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.payload.arm_card import ArmCard, arm_sha256, card_text, read_arm_card
 from tunenet_logs.analysis.payload.arm_log import read_arm_log
-from tunenet_logs.analysis.payload.noise import NormalEquations, posterior
+from tunenet_logs.analysis.payload.noise import NormalEquations
 from tunenet_logs.analysis.payload.torque_fit import fit_payload
 from tunenet_logs.analysis.payload.torque_model import arm_motion, arm_terms
 from tunenet_logs.analysis.tuning import tune_episode
@@ -59,27 +59,11 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_what_is_learnt_of_some_terms_is_what_all_say_of_them():
-    rng = np.random.default_rng(4)
-    slopes, values = rng.standard_normal((40, 7)), rng.standard_normal(40)
-    normal = NormalEquations(slopes.T @ slopes, slopes.T @ values)
-    sds = np.array([0.3, 1.0, 0.0, 2.0, 0.1, 0.5, 1.5])
-    kept = np.array([1, 4, 6])
-    whole = posterior(normal, sds)
-    part = posterior(normal.marginal(kept, sds), sds[kept])
-    assert part.means == pytest.approx(whole.means[kept], rel=1e-9)
-    assert part.covariance == pytest.approx(whole.covariance[np.ix_(kept, kept)], rel=1e-9)
-    among = normal.marginal(kept, sds).among(kept, 7)
-    assert np.array_equal(among.gradient != 0, np.isin(np.arange(7), kept))
-    assert among.marginal(kept, sds).precision == pytest.approx(
-        normal.marginal(kept, sds).precision, rel=1e-12
-    )
-
-
-def test_a_card_is_as_good_as_the_tares_that_it_is_from():
+@pytest.mark.parametrize("arms", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_a_card_is_as_good_as_the_tares_that_it_is_from(arms: int):
     """A stranger's arms: errors over some of them, with a card, its tare itself, and neither."""
     errors = []
-    for seed in range(2):
+    for seed in range(arms):
         payloads = [(0.9, np.array([0.01, 0.0, 0.01])), (1.7, np.zeros(3)), None, None]
         runs = stranger_runs(JACO_URDF, JACO_TOOL_LINK, 700 + seed, FULL, payloads)
         held, other, *empty = (arm_motion(read_arm_log(run.episode, ARM)) for run in runs)
@@ -147,33 +131,26 @@ def test_what_is_no_card_is_one_line(card: ArmCard, tmp_path: Path, change: Call
     assert len(said) < 400 + len(str(path))
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{", '{"precision": NaN}', "[" * 99, '"\\ud800"'])
-def test_what_is_no_json_is_no_card(tmp_path: Path, text: str):
+def test_what_is_no_file_of_a_card_is_refused(tmp_path: Path):
     path = tmp_path / "arm.json"
-    path.write_text(text)
-    with pytest.raises(UsageError, match="is no card of an arm"):
-        read_arm_card(path)
-
-
-def test_files_that_are_not_there_or_too_large_are_no_cards(tmp_path: Path):
+    for text in ("", "[]", "{", '{"precision": NaN}', "[" * 99, '"\\ud800"'):
+        path.write_text(text)
+        with pytest.raises(UsageError, match="is no card of an arm"):
+            read_arm_card(path)
     with pytest.raises(UsageError, match="No such file"):
         read_arm_card(tmp_path / "none.json")
     with pytest.raises(UsageError, match="save-arm-card"):
         read_arm_card(tmp_path)
-    large = tmp_path / "large.json"
-    with large.open("wb") as file:
+    with path.open("wb") as file:
         file.truncate(20_000_000)
     with pytest.raises(UsageError, match="larger than 16 MB"):
-        read_arm_card(large)
+        read_arm_card(path)
 
 
 def test_a_card_without_sense_makes_no_answer_that_looks_sound(card: ArmCard):
     wild = NormalEquations(np.zeros_like(card.learnt.precision), np.full(len(card.terms), 1e15))
-    selection = TuneOptions(arm_card=replace(card, learnt=wild))
-    tuning = tune_episode(
-        circle_log(Payload(0.5), DRIVER),
-        replace(selection, task="payload"),
-    )
+    options = TuneOptions(arm_card=replace(card, learnt=wild), task="payload")
+    tuning = tune_episode(circle_log(Payload(0.5), DRIVER), options)
     assert tuning.verdict in ("suspect", "rejected")
 
 
@@ -181,11 +158,8 @@ def test_a_card_of_another_arm_is_refused(card: ArmCard):
     episode = circle_log(Payload(0.5), DRIVER)
 
     def reason(**other) -> str:
-        selection = TuneOptions(arm_card=replace(card, file="arm.json", **other))
-        tuning = tune_episode(
-            episode,
-            replace(selection, task="payload"),
-        )
+        known = replace(card, file="arm.json", **other)
+        tuning = tune_episode(episode, TuneOptions(arm_card=known, task="payload"))
         assert tuning.verdict == "rejected"
         return tuning.reason or ""
 
@@ -194,13 +168,8 @@ def test_a_card_of_another_arm_is_refused(card: ArmCard):
     assert "with 6 joints, not 7" in reason(joints=JOINTS[:6])
     jaco = tuple(f"j2s7s300_{joint}" for joint in JOINTS)
     panda = tuple(f"panda_{joint}" for joint in JOINTS)
-    episode = changed(
-        episode,
-        **{
-            field: lambda signal: renamed(signal, jaco)
-            for field in ("position", "velocity", "effort")
-        },
-    )
+    fields = ("position", "velocity", "effort")
+    episode = changed(episode, **dict.fromkeys(fields, lambda signal: renamed(signal, jaco)))
     assert "its joint panda_joint_1 is j2s7s300_joint_1 in the log" in reason(joints=panda)
 
 
@@ -244,21 +213,6 @@ def test_a_card_replaces_only_its_own(command: Command, files: Path, card: ArmCa
     result = command(*words, "--overwrite")
     assert "exists, and is no card that tunenet-logs wrote" in result.stderr
     assert there.read_text() == "my notes"
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("a.mcap", "b.mcap", "--save-arm-card", "arm.json"), "is for one log, not 2"),
-        (("a.mcap", "--save-arm-card", "no/arm.json"), "no such folder"),
-        (("a.mcap", "--arm-card", "none.json"), "none.json: cannot be read"),
-    ],
-)
-def test_cards_that_cannot_be_are_one_line(command: Command, words, says: str):
-    result = command("tunenet-tune", *words)
-    assert result.returncode == 2
-    assert result.stderr.count("\n") == 1
-    assert says in result.stderr
 
 
 def test_a_card_is_no_balls(command: Command, drop_log: Path, tmp_path: Path, card: ArmCard):

@@ -1,9 +1,10 @@
-"""From a log of an arm to what it holds: the command, its files, and what it refuses."""
+"""From a log of an arm to what it holds: the command, its files, which arm, and what it refuses."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,10 @@ import pytest
 from tests.conftest import Command, real
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.options import TuneOptions
+from tunenet_logs.analysis.payload.arm_log import which_arm
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.session import record_episode
 from tunenet_logs.recorders.simulated import PayloadOrder, simulate_payload
@@ -25,8 +27,14 @@ from tunenet_logs.recorders.simulators.arm.description import (
     Payload,
     jaco,
 )
-from tunenet_logs.recorders.simulators.arm.path import circle_at
-from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm, joint_signals
+from tunenet_logs.recorders.simulators.arm.known import ARMS, DEFAULT, known_arm
+from tunenet_logs.recorders.simulators.arm.path import circle_at, random_path
+from tunenet_logs.recorders.simulators.arm.payload import (
+    Disturbances,
+    driver_episode,
+    joint_efforts_nm,
+    joint_signals,
+)
 from tunenet_logs.terminal import Progress
 
 TWO_JOINTS = """\
@@ -152,12 +160,24 @@ def test_any_serial_arm(command: Command, tmp_path: Path):
         (("--urdf", "arm.urdf"), "go together; add --tool-link"),
         (("--tool-link", "hand"), "go together; add --urdf"),
         (("--urdf", "none.urdf", "--tool-link", "hand"), "none.urdf"),
+        (("--effort-unit", "A"), "--effort-unit A needs each joint's torque for each A"),
+        (("--effort-unit", "lb"), "'lb' is neither N·m (or Nm) nor A"),
+        (("--gravity", "on"), "--gravity"),
+        (("--effort-sign", "-1"), "--effort-sign"),
+        (("--tare", "x.mcap", "--tare", "./x.mcap"), "named twice; name each empty run once"),
+        (("--tare", "x.mcap", "y.mcap"), "--tare takes one LOG, and y.mcap was not expected"),
+        (("b.mcap", "--save-arm-card", "arm.json"), "is for one log, not 2"),
+        (("--save-arm-card", "no/arm.json"), "no such folder"),
+        (("--arm-card", "none.json"), "none.json: cannot be read"),
+        (("--arm", "pandda"), "did you mean panda"),
+        (("--arm", "panda", "--urdf", "a.urdf"), "--arm panda does not go with --urdf"),
+        (("--arm", "panda", "--tool-link", "a"), "--arm panda does not go with --tool-link"),
     ],
 )
-def test_wrong_usage_of_an_arm_is_one_line(
+def test_words_that_are_wrong_are_one_line(
     command: Command, logs: tuple[Path, Path], tmp_path: Path, words: tuple[str, ...], says: str
 ):
-    result = command("tunenet-tune", logs[0], *words, "-o", tmp_path)
+    result = command("tunenet-tune", logs[0], *words, "-o", tmp_path, cwd=tmp_path)
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert says in result.stderr
@@ -270,23 +290,31 @@ def test_a_log_that_may_be_two_things_is_asked_about(command: Command, tmp_path:
 def test_options_of_the_other_kind_are_said_to_have_no_effect(
     command: Command, logs: tuple[Path, Path], drop_log: Path, tmp_path: Path
 ):
-    result = command("tunenet-tune", drop_log, "--tare", logs[1], "-o", tmp_path)
-    assert "--tare not used: this is a drop" in result.stderr
-    result = command("tunenet-tune", logs[0], "--ball", "golf", "-o", tmp_path)
-    assert "--ball not used: this is a payload" in result.stderr
+    for log, words, said in (
+        (drop_log, ("--tare", logs[1]), "--tare not used: this is a drop"),
+        (
+            drop_log,
+            ("--gravity", "included", "--effort-sign", "joint", "--effort-unit", "Nm"),
+            "--gravity, --effort-sign, --effort-unit not used: this is a drop",
+        ),
+        (logs[0], ("--ball", "golf"), "--ball not used: this is a payload"),
+    ):
+        result = command("tunenet-tune", log, *words, "-o", tmp_path, "--no-review")
+        assert said in result.stderr
 
 
-def test_joints_without_torques_are_refused():
-    tuning = tune_log(real("ros1/jaco2_no_effort.bag"), TuneOptions())
+@pytest.mark.parametrize(
+    ("bag", "says"),
+    [
+        ("jaco2_no_effort", "no joint torques"),
+        ("jaco_names_recorded_by_rosbag", "fit no arm"),
+        ("jaco_names_recorded_by_rosbag_lz4", "fit no arm"),
+    ],
+)
+def test_what_is_no_log_of_torques_is_refused(bag: str, says: str):
+    tuning = tune_log(real(f"ros1/{bag}.bag"), TuneOptions())
     assert tuning.verdict == "rejected"
-    assert "no joint torques" in (tuning.reason or "")
-
-
-@pytest.mark.parametrize("name", ["rosbag", "rosbag_lz4"])
-def test_torques_that_are_no_arms_are_refused(name: str):
-    tuning = tune_log(real(f"ros1/jaco_names_recorded_by_{name}.bag"), TuneOptions())
-    assert tuning.verdict == "rejected"
-    assert "fit no arm" in (tuning.reason or "")
+    assert says in (tuning.reason or "")
 
 
 @pytest.mark.parametrize("preset", ["paper", "paper-code"])
@@ -316,19 +344,122 @@ def test_torques_in_another_unit_reject_their_log_alone(
     result = command("tunenet-tune", tmp_path / "odd.mcap", logs[0], *words)
     assert result.returncode == 1
     assert "over 20 kg; say their unit with --effort-unit" in result.stdout
-    assert mass_of(tmp_path / "out" / "held.json") == pytest.approx(0.6, abs=0.3)
+    report = json.loads((tmp_path / "out" / "held.json").read_text())
+    assert report["parameters"]["payload_mass"]["value"] == pytest.approx(0.6, abs=0.3)
 
 
-def mass_of(report: Path) -> float:
-    return json.loads(report.read_text())["parameters"]["payload_mass"]["value"]
-
-
-def test_a_topic_that_is_not_there_is_said_with_those_that_are(logs: tuple[Path, Path]):
+def test_what_cannot_be_asked_of_a_log(logs: tuple[Path, Path]):
     tuning = tune_log(logs[0], TuneOptions(topic="/nope"))
     assert tuning.verdict == "rejected"
     assert "no usable topic /nope (there is: /joint_states); name one" in (tuning.reason or "")
-
-
-def test_a_first_guess_beyond_any_arm_is_wrong_usage(logs: tuple[Path, Path]):
     with pytest.raises(UsageError, match="payload_mass"):
         tune_log(logs[0], TuneOptions(initial=(50.0,)))
+
+
+HELD_KG = 0.8
+LWR = tuple(f"lwr_{axis}_joint" for axis in ("a1", "a2", "e1", "a3", "a4", "a5", "a6"))
+
+
+@cache
+def log_of(name: str, seconds: float = 4.0) -> Episode:
+    """Of a known arm that holds 0.8 kg; joints called as its own description has them."""
+    arm = known_arm(name).arm()
+    path = random_path(arm, 3, 250.0, seconds)
+    noise = Disturbances(rate_hz=60.0, torque_noise_nm=0.05)
+    return driver_episode(arm, path, Payload(HELD_KG), noise)
+
+
+def called(episode: Episode, *names: str) -> Episode:
+    signals = {
+        key: replace(signal, columns=names + signal.columns[len(names) :])
+        for key, signal in episode.signals.items()
+    }
+    return replace(episode, signals=signals)
+
+
+def numbered(before: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{before}{number}" for number in range(1, count + 1))
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_what_each_arm_holds_is_found(name: str):
+    tuning = tune_episode(log_of(name), TuneOptions(arm=name))
+    assert tuning.estimate is not None, tuning.reason
+    assert tuning.estimate[0] == pytest.approx(HELD_KG, abs=0.005)
+    assert any(f"arm: {known_arm(name).words}, as --arm says" in one for one in tuning.warnings)
+
+
+@pytest.mark.parametrize(
+    ("of", "names", "found"),
+    [
+        (DEFAULT, (), DEFAULT),
+        ("jaco6", (), "jaco6"),
+        ("jaco6-bent", numbered("left_j2n6s300_joint_", 6), "jaco6-bent"),
+        ("panda-bare", (), "panda"),
+        ("fr3", numbered("right/fr3_joint", 7), "fr3"),
+        ("lwr", LWR, "lwr"),
+    ],
+)
+def test_the_joints_names_say_which(of: str, names: tuple[str, ...], found: str):
+    chosen = which_arm(called(log_of(of), *names), None, None)
+    expected = known_arm(found)
+    assert chosen[1][0].startswith(f"arm: {expected.words}, by its joints' names")
+    assert [joint.link for joint in chosen[0].joints] == [
+        joint.link for joint in expected.arm().joints
+    ]
+    if of == "lwr":
+        assert chosen[0].joint_names == names
+        assert "without a tare" in chosen[1][1]
+
+
+@pytest.mark.parametrize("of", ["xarm7", "gen3"])
+@pytest.mark.parametrize("before", ["joint", "joint_", "iiwa_joint_", "A"])
+def test_seven_joints_of_no_name_are_the_jacos_and_said_so(of: str, before: str):
+    chosen = which_arm(called(log_of(of), *numbered(before, 7)), None, None)
+    assert len(chosen[0].joints) == 7
+    (remark,) = chosen[1]
+    assert "do not say which arm this is: taken for a Kinova Jaco, 7 joints" in remark
+    assert "--arm" in remark
+
+
+def test_what_fits_several_and_not_the_default_asks_for_a_name():
+    with pytest.raises(NotFoundError, match=r"UR5e or .* UR10e.*--arm ur5e or --arm ur10e"):
+        which_arm(log_of("ur5e"), None, None)
+    with pytest.raises(NotFoundError, match=r"\(joint_1, .*joint_6\); name the arm.*--urdf"):
+        which_arm(called(log_of("jaco6"), *numbered("joint_", 6)), None, None)
+    named = which_arm(called(log_of("jaco6"), *numbered("joint_", 6)), "jaco6", None)
+    assert len(named[0].joints) == 6
+
+
+def test_the_topic_that_a_user_prefers_names_the_arm():
+    panda = {key.replace("/", "/b/"): one for key, one in log_of("panda").signals.items()}
+    panda = {key: replace(one, name=key) for key, one in panda.items()}
+    both = replace(log_of("jaco6"), signals={**log_of("jaco6").signals, **panda})
+    assert len(which_arm(both, None, None)[0].joints) == 6
+    assert len(which_arm(both, None, "/b/joint_states")[0].joints) == 7
+
+
+def test_a_real_log_of_six_joints_is_asked_for_its_arm():
+    episode = read_episode(real("ros1/jaco2_6dof_bsd3.bag"))
+    with pytest.raises(NotFoundError, match=r"jaco_joint_1.*--arm jaco6"):
+        which_arm(episode, None, None)
+    assert len(which_arm(episode, "jaco6", None)[0].joints) == 6
+
+
+def test_the_commands_take_and_keep_a_name(command: Command, tmp_path: Path):
+    file = tmp_path / "ur.mcap"
+    record(file, mass_kg=HELD_KG, arm="ur10e", seconds=3.0, seed=2)
+    asked = command("tunenet-tune", file, "--quiet")
+    assert asked.returncode == 1
+    assert "--arm ur5e or --arm ur10e" in asked.stdout + asked.stderr
+    result = command("tunenet-tune", file, "--arm", "UR10e", "--quiet")
+    assert result.returncode == 0, result.stderr
+    assert "arm: Universal Robots UR10e, as --arm says" in result.stderr
+    report = json.loads((tmp_path / "ur.json").read_text())
+    assert report["parameters"]["payload_mass"]["value"] == pytest.approx(HELD_KG, abs=0.03)
+    assert report["provenance"]["options"]["arm"] == "ur10e"
+
+
+def test_help_lists_the_arms(command: Command):
+    text = "".join(command("tunenet-tune", "--help", "payload").stdout.split())
+    assert all(name in text for name in ARMS)

@@ -73,7 +73,8 @@ def test_the_torques_lie_on_the_logs_time(tuned: Tuning, review: Path):
 def test_the_last_iteration_is_the_rigid_arm_with_the_result(tuned: Tuning, review: Path):
     _, simulated = series(review, "/torque/joint_2/iterations", "Scalars:scalars")
     assert tuned.estimate is not None
-    expected = tuned.detection.simulator.efforts_nm(float(tuned.estimate[0]))
+    rollout = tuned.detection.simulator.rollout({"payload_mass": float(tuned.estimate[0])})
+    expected = rollout.signals["/joint_states.effort"].values
     assert simulated[:, -1] == pytest.approx(expected[:, 1])
 
 
@@ -146,9 +147,7 @@ def test_without_a_fit_there_is_none_to_show(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("urdf", "joints"),
-    [(TWO_JOINTS, 2), (SLIDER, 2), (ONE_JOINT, 1)],
-    ids=["two", "slider", "one"],
+    ("urdf", "joints"), [(TWO_JOINTS, 2), (SLIDER, 2), (ONE_JOINT, 1)], ids=["two", "slider", "one"]
 )
 def test_any_arm_has_a_review(tmp_path: Path, urdf: str, joints: int):
     path = tmp_path / "a.urdf"
@@ -172,22 +171,19 @@ def test_a_fast_log_is_thinned(tmp_path: Path):
     assert path.stat().st_size < 3e6
 
 
-def test_torques_of_no_arm_are_shown_as_rejected(tmp_path: Path):
-    bag = real("ros1/jaco_names_recorded_by_rosbag.bag")
-    tuning = tune_log(bag, TuneOptions(task="payload"))
+@pytest.mark.parametrize(
+    ("bag", "shown"),
+    [
+        ("jaco_names_recorded_by_rosbag", "/torque/joint_2/observed"),
+        ("jaco2_no_effort", "/recorded/joint_states.position/jaco_joint_1"),
+    ],
+)
+def test_a_rejected_log_shows_what_was_recorded(tmp_path: Path, bag: str, shown: str):
+    tuning = tune_log(real(f"ros1/{bag}.bag"), TuneOptions(task="payload"))
     assert tuning.verdict == "rejected"
     path = drawn(tuning, tmp_path)
-    assert "/torque/joint_2/observed" in contents(path)
+    assert shown in {one.replace("\\", "") for one in contents(path)}
     assert b"rejected" in path.read_bytes()
-
-
-def test_a_log_without_torques_shows_what_was_recorded(tmp_path: Path):
-    tuning = tune_log(real("ros1/jaco2_no_effort.bag"), TuneOptions(task="payload"))
-    assert tuning.detection is None
-    entities = contents(drawn(tuning, tmp_path))
-    assert r"/recorded/joint_states.position/jaco_joint_1" in {
-        one.replace("\\", "") for one in entities
-    }
 
 
 def test_a_rejected_mass_is_not_shown(tuned: Tuning):

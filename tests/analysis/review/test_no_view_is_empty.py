@@ -24,6 +24,7 @@ from tunenet_logs.analysis.review.tuning import write_overview, write_review
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.recorders.simulated import PayloadOrder, simulate_payload
 
+SAMPLES, PLAIN = ROOT / "sample_logs", TuneOptions()
 Make = Callable[[Path], Path]  # writes a review into a folder; its path
 
 
@@ -33,66 +34,85 @@ def review_of(tuning: Tuning, folder: Path, verdict: str | None = None) -> Path:
     return folder / "a.rrd"
 
 
-def drop_from_positions(folder: Path) -> Path:
-    path = record(folder / "a.mcap", restitution=0.85, height_m=1.5)
-    return review_of(tune_log(path, TuneOptions()), folder, "ok")
+def tuned(name: str, verdict: str | None, tune: Callable[[Path], Tuning]) -> Make:
+    """Make the review of what is tuned in a folder."""
+
+    def make(folder: Path) -> Path:
+        return review_of(tune(folder), folder, verdict)
+
+    make.__name__ = name
+    return make
 
 
-def filmed_drop(folder: Path) -> Path:
-    return review_of(tune_log(ROOT / "sample_logs" / "filmed.mcap", TuneOptions()), folder, "ok")
+def filmed(seconds: float) -> Callable[[Path], Tuning]:
+    order = {"restitution": 0.7, "height_m": 1.0, "hold_s": 0.2, "seed": 5}
+    return lambda folder: tune_log(film(folder / "a.mcap", seconds=seconds, **order), PLAIN)
 
 
-def impact_times(folder: Path) -> Path:
-    return review_of(tune_episode(episode_of(impacts(7)), TuneOptions()), folder, "ok")
-
-
-def payload_without_tare(folder: Path) -> Path:
-    return review_of(tune_log(ROOT / "sample_logs" / "payload.mcap", TuneOptions()), folder)
-
-
-def payload_with_tare(folder: Path) -> Path:
+def with_a_tare(folder: Path) -> Tuning:
     held = record_payload(folder / "held.mcap", mass_kg=0.6, is_driver=True)
     empty = record_payload(folder / "empty.mcap", is_empty=True, is_driver=True)
-    return review_of(tune_log(held, TuneOptions(tares=(empty,))), folder)
+    return tune_log(held, TuneOptions(tares=(empty,)))
 
 
-def positions_without_a_drop(folder: Path) -> Path:
-    path = record(folder / "a.mcap", restitution=0.0, height_m=1.0)
-    return review_of(tune_log(path, TuneOptions()), folder, "rejected")
-
-
-def film_of_a_fall(folder: Path) -> Path:
-    order = {"restitution": 0.7, "height_m": 1.0, "seconds": 0.45, "hold_s": 0.2, "seed": 5}
-    return review_of(tune_log(film(folder / "a.mcap", **order), TuneOptions()), folder, "rejected")
-
-
-def film_of_a_still_ball(folder: Path) -> Path:
-    order = {"restitution": 0.7, "height_m": 1.0, "seconds": 0.15, "hold_s": 0.2, "seed": 5}
-    return review_of(tune_log(film(folder / "a.mcap", **order), TuneOptions()), folder, "rejected")
-
-
-def times_of_no_ball(folder: Path) -> Path:
-    times_s = np.cumsum(np.random.default_rng(0).uniform(0.1, 0.6, 9))
-    return review_of(tune_episode(episode_of(times_s), TuneOptions()), folder, "rejected")
-
-
-def too_few_times(folder: Path) -> Path:
-    return review_of(tune_episode(episode_of(impacts(2)), TuneOptions()), folder, "rejected")
-
-
-def payload_on_a_path_that_the_preset_does_not_know(folder: Path) -> Path:
-    episode = simulate_payload(PayloadOrder(mass_kg=0.5, path="random", seconds=6.0))
-    return review_of(tune_episode(episode, TuneOptions(preset="paper")), folder, "rejected")
-
-
-def payload_of_no_arm(folder: Path) -> Path:
-    bag = real("ros1/jaco_names_recorded_by_rosbag.bag")
-    return review_of(tune_log(bag, TuneOptions(task="payload")), folder, "rejected")
-
-
-def file_that_is_no_log(folder: Path) -> Path:
+def of_noise(folder: Path) -> Tuning:
     (folder / "a.mcap").write_bytes(bytes(range(200)))
-    return review_of(tune_log(folder / "a.mcap", TuneOptions()), folder, "rejected")
+    return tune_log(folder / "a.mcap", PLAIN)
+
+
+def planned(name: str, restitution: str, rig: str = "") -> Make:
+    """Make the review of a plan."""
+
+    def make(folder: Path) -> Path:
+        (folder / "rig.yaml").write_text(rig)
+        words = ["--restitution", restitution, "--rrd", str(folder / "a.rrd")]
+        plan_main([*words, *(["--rig", str(folder / "rig.yaml")] if rig else [])])
+        return folder / "a.rrd"
+
+    make.__name__ = name
+    return make
+
+
+def overview(name: str, count: int, *, is_rejected: bool, has_estimates: bool = True) -> Make:
+    """Make the review of a batch's ledger."""
+    values = [None if is_rejected else 0.7 + 0.01 * k for k in range(count)]
+    told: dict[str, list[Any]] = {
+        "log": [f"drop_{k}.mcap" for k in range(count)],
+        "verdict": ["rejected" if is_rejected else "ok"] * count,
+        "reason": ["no bounce" if is_rejected else None] * count,
+    }
+    if has_estimates:
+        told |= {
+            "restitution": values,
+            "restitution_low": [value and value - 0.01 for value in values],
+            "restitution_high": [value and value + 0.01 for value in values],
+            "fit_excess_percent": [None if is_rejected else 0.1] * count,
+        }
+
+    def make(folder: Path) -> Path:
+        write_overview(told, folder / "a.rrd")
+        return folder / "a.rrd"
+
+    make.__name__ = name
+    return make
+
+
+def campaign_in(folder: Path) -> Path:
+    path = folder / "a.rrd"
+    assert review_main([str(folder), "-o", str(path), "--quiet", "--jobs", "1"]) == 0
+    return path
+
+
+def campaign_of_outcomes(folder: Path) -> Path:
+    campaigns.outcome(folder, 1)
+    campaigns.outcome(folder, 2, "red gel", success=False)
+    return campaign_in(folder)
+
+
+def campaign_of_drops(folder: Path) -> Path:
+    for number in (1, 2):
+        campaigns.drop(folder / f"drop_{number}.mcap", is_bad=True)
+    return campaign_in(folder)
 
 
 def campaign_of_everything(folder: Path) -> Path:
@@ -109,97 +129,38 @@ def campaign_of_everything(folder: Path) -> Path:
     return campaign_in(folder)
 
 
-def campaign_of_outcomes(folder: Path) -> Path:
-    campaigns.outcome(folder, 1)
-    campaigns.outcome(folder, 2, "red gel", success=False)
-    return campaign_in(folder)
-
-
-def campaign_of_drops(folder: Path) -> Path:
-    campaigns.drop(folder / "drop_1.mcap", is_bad=True)
-    campaigns.drop(folder / "drop_2.mcap", is_bad=True)
-    return campaign_in(folder)
-
-
-def campaign_in(folder: Path) -> Path:
-    path = folder / "a.rrd"
-    assert review_main([str(folder), "-o", str(path), "--quiet", "--jobs", "1"]) == 0
-    return path
-
-
-def plan_of_a_shot(folder: Path) -> Path:
-    return plan_in(folder, "0.7")
-
-
-def plan_without_a_shot(folder: Path) -> Path:
-    return plan_in(folder, "0.3")
-
-
-def plan_of_a_hoop_that_is_too_high(folder: Path) -> Path:
-    (folder / "rig.yaml").write_text("hoop: {up_m: 2.0}")
-    return plan_in(folder, "0.7", "--rig", str(folder / "rig.yaml"))
-
-
-def plan_in(folder: Path, restitution: str, *words: str) -> Path:
-    plan_main(["--restitution", restitution, "--rrd", str(folder / "a.rrd"), *words])
-    return folder / "a.rrd"
-
-
-def ledger(count: int, *, is_rejected: bool = False) -> dict[str, list[Any]]:
-    values = [None if is_rejected else 0.7 + 0.01 * k for k in range(count)]
-    verdict = "rejected" if is_rejected else "ok"
-    return {
-        "log": [f"drop_{k}.mcap" for k in range(count)],
-        "verdict": [verdict] * count,
-        "reason": ["no bounce" if is_rejected else None] * count,
-        "restitution": values,
-        "restitution_low": [value and value - 0.01 for value in values],
-        "restitution_high": [value and value + 0.01 for value in values],
-        "fit_excess_percent": [None if is_rejected else 0.1] * count,
-    }
-
-
-def overview_of_a_batch(folder: Path) -> Path:
-    write_overview(ledger(12), folder / "a.rrd")
-    return folder / "a.rrd"
-
-
-def overview_of_rejected_logs(folder: Path) -> Path:
-    write_overview(ledger(3, is_rejected=True), folder / "a.rrd")
-    return folder / "a.rrd"
-
-
-def overview_without_estimates(folder: Path) -> Path:
-    told = ledger(3, is_rejected=True)
-    names = ("log", "verdict", "reason")
-    write_overview({name: told[name] for name in names}, folder / "a.rrd")
-    return folder / "a.rrd"
-
+NOT_KNOWN = PayloadOrder(mass_kg=0.5, path="random", seconds=6.0)
+NO_ARM = "ros1/jaco_names_recorded_by_rosbag.bag"
+NO_BALL_S = np.cumsum(np.random.default_rng(0).uniform(0.1, 0.6, 9))
 
 MAKERS: tuple[Make, ...] = (
-    drop_from_positions,
-    filmed_drop,
-    impact_times,
-    payload_without_tare,
-    payload_with_tare,
-    positions_without_a_drop,
-    film_of_a_fall,
-    film_of_a_still_ball,
-    times_of_no_ball,
-    too_few_times,
-    payload_on_a_path_that_the_preset_does_not_know,
-    payload_of_no_arm,
-    file_that_is_no_log,
+    tuned("drop_from_positions", "ok",
+          lambda to: tune_log(record(to / "a.mcap", restitution=0.85, height_m=1.5), PLAIN)),
+    tuned("filmed_drop", "ok", lambda _: tune_log(SAMPLES / "filmed.mcap", PLAIN)),
+    tuned("impact_times", "ok", lambda _: tune_episode(episode_of(impacts(7)), PLAIN)),
+    tuned("payload_without_tare", None, lambda _: tune_log(SAMPLES / "payload.mcap", PLAIN)),
+    tuned("payload_with_tare", None, with_a_tare),
+    tuned("positions_without_a_drop", "rejected",
+          lambda to: tune_log(record(to / "a.mcap", restitution=0.0, height_m=1.0), PLAIN)),
+    tuned("film_of_a_fall", "rejected", filmed(0.45)),
+    tuned("film_of_a_still_ball", "rejected", filmed(0.15)),
+    tuned("times_of_no_ball", "rejected", lambda _: tune_episode(episode_of(NO_BALL_S), PLAIN)),
+    tuned("too_few_times", "rejected", lambda _: tune_episode(episode_of(impacts(2)), PLAIN)),
+    tuned("payload_on_a_path_that_the_preset_does_not_know", "rejected",
+          lambda _: tune_episode(simulate_payload(NOT_KNOWN), TuneOptions(preset="paper"))),
+    tuned("payload_of_no_arm", "rejected",
+          lambda _: tune_log(real(NO_ARM), TuneOptions(task="payload"))),
+    tuned("file_that_is_no_log", "rejected", of_noise),
     campaign_of_everything,
     campaign_of_outcomes,
     campaign_of_drops,
-    plan_of_a_shot,
-    plan_without_a_shot,
-    plan_of_a_hoop_that_is_too_high,
-    overview_of_a_batch,
-    overview_of_rejected_logs,
-    overview_without_estimates,
-)
+    planned("plan_of_a_shot", "0.7"),
+    planned("plan_without_a_shot", "0.3"),
+    planned("plan_of_a_hoop_that_is_too_high", "0.7", "hoop: {up_m: 2.0}"),
+    overview("overview_of_a_batch", 12, is_rejected=False),
+    overview("overview_of_rejected_logs", 3, is_rejected=True),
+    overview("overview_without_estimates", 3, is_rejected=True, has_estimates=False),
+)  # fmt: skip
 
 
 def empty_views(path: Path) -> list[str]:
@@ -244,6 +205,7 @@ def timed(entity: str, times: list[int], columns: Any) -> Callable[[rr.Recording
 POINTS = rr.Points2D.columns(positions=[[0, 0]])
 PICTURE = rr.EncodedImage.columns(blob=[b"\xff\xd8"], media_type=["image/jpeg"])
 VALUES = rr.Scalars.columns(scalars=[5.0, 6.0])
+LOW = rrb.ScalarAxis(range=(0.0, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -253,22 +215,10 @@ VALUES = rr.Scalars.columns(scalars=[5.0, 6.0])
         (rrb.Spatial2DView(origin="/a"), timed("a/dots", [9], POINTS), [1]),
         (rrb.Spatial2DView(origin="/b"), timed("a/dots", [1], POINTS), [1, 9]),
         (rrb.Spatial2DView(origin="/a"), timed("a/grid", [1], POINTS), [1, 9]),
-        (
-            rrb.Spatial2DView(origin="/a"),
-            timed("a/dots", [1, 9], rr.Points2D.columns(positions=[[0, 0]]).partition([1, 0])),
-            [9],
-        ),
-        (
-            rrb.Spatial2DView(origin="/", contents=["+ /a/**", "- /a/dots"]),
-            timed("a/dots", [1], POINTS),
-            [1, 9],
-        ),
+        (rrb.Spatial2DView(origin="/a"), timed("a/dots", [1, 9], POINTS.partition([1, 0])), [9]),
+        (rrb.Spatial2DView(contents=["/a/**", "- /a/dots"]), timed("a/dots", [1], POINTS), [1, 9]),
         (rrb.TimeSeriesView(origin="/a"), timed("a", [1, 9], VALUES), []),
-        (
-            rrb.TimeSeriesView(origin="/a", axis_y=rrb.ScalarAxis(range=(0.0, 1.0))),
-            timed("a", [1, 9], VALUES),
-            [1, 9],
-        ),
+        (rrb.TimeSeriesView(origin="/a", axis_y=LOW), timed("a", [1, 9], VALUES), [1, 9]),
         (rrb.TextDocumentView(origin="/a"), timed("b", [1, 9], VALUES), [1, 9]),
     ],
 )

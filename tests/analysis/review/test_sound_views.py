@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,51 +43,7 @@ def knocks(seconds: NDArray[np.float64], lasts_s: float) -> NoBounce:
     click = 0.5 * rng.normal(0, 1, 300) * np.exp(-np.arange(300) / 50)
     for at in np.round(seconds * RATE_HZ).astype(int).tolist():
         samples[at : at + 300] += click[: len(samples) - at].astype(np.float32)
-    return NoBounce("knocks", np.clip(samples, -1, 1), RATE_HZ, "pcm")
-
-
-def filmed_impacts_s() -> NDArray[np.float64]:
-    """Of the filmed sample, after its first picture."""
-    fall_s = np.sqrt(2 * 1.1 / GRAVITY_M_S2)
-    return 0.4 + fall_s + np.append(0.0, np.cumsum(2 * fall_s * 0.74 ** np.arange(1, 6)))
-
-
-def bounce() -> Episode:
-    return sound_alone(draw_sound(11, 0, snr_db=25.0))
-
-
-def one_knock() -> Episode:
-    return sound_alone(knocks(np.array([1.0]), 2.0))
-
-
-def film_and_sound() -> Episode:
-    filmed = read_episode(ROOT / "sample_logs" / "filmed.mcap")
-    impacts_s = filmed_impacts_s()
-    return with_sound(filmed, knocks(impacts_s[impacts_s < 2.5], 2.7), 0.02)
-
-
-def track_and_speech() -> Episode:
-    return with_sound(without_sound(TRACK.episode()), SPEECH)
-
-
-def track_and_silence() -> Episode:
-    return with_sound(without_sound(TRACK.episode()), SILENCE)
-
-
-def fall_and_speech(folder: Path) -> Episode:
-    order = {"restitution": 0.7, "height_m": 1.0, "seconds": 0.45, "hold_s": 0.2, "seed": 5}
-    return with_sound(read_episode(film(folder / "a.mcap", **order)), SPEECH)
-
-
-def review_in(folder: Path, episode: Episode, verdict: str | None = None) -> Stored:
-    """The review of an episode; no view of it is ever empty."""
-    path = review_of(tune_episode(episode, TuneOptions()), folder, verdict)
-    assert empty_views(path) == []
-    return Stored(path)
-
-
-def sound_views(review: Stored) -> list[str]:
-    return [view.name for view in review.views if view.name.startswith("sound")]
+    return NoBounce(np.clip(samples, -1, 1), RATE_HZ, "pcm", "knocks")
 
 
 def marked_s(review: Stored, entity: str) -> NDArray[np.float64]:
@@ -102,73 +57,77 @@ def off_s(seconds: NDArray[np.float64], truth_s: NDArray[np.float64]) -> float:
     return float(np.abs(seconds[:, None] - truth_s).min(axis=1).max())
 
 
-def test_a_bounce_that_is_heard_alone_has_its_impacts_on_both(tmp_path: Path):
-    review = review_in(tmp_path, bounce(), "ok")
-    scene = draw_sound(11, 0, snr_db=25.0).scene
-    assert sound_views(review) == ["sound [dBFS], white: its impacts, red: other knocks"]
-    for place in ("sound", "height"):
-        heard_s = marked_s(review, f"/{place}/heard")
-        assert len(heard_s) >= 5
-        assert off_s(heard_s, scene.impacts_s) < 0.002
+def filmed_impacts_s() -> NDArray[np.float64]:
+    """Of the filmed sample, after its first picture."""
+    fall_s = np.sqrt(2 * 1.1 / GRAVITY_M_S2)
+    return 0.4 + fall_s + np.append(0.0, np.cumsum(2 * fall_s * 0.74 ** np.arange(1, 6)))
 
 
-def test_a_sound_without_a_ball_shows_what_knocks(tmp_path: Path):
-    review = review_in(tmp_path, one_knock(), "rejected")
-    assert "what knocks" in sound_views(review)[0]
-    assert off_s(np.array([1.0]), marked_s(review, "/sound/knock")) < 0.002
+def film_and_sound(_: Path) -> Episode:
+    impacts_s = filmed_impacts_s()
+    heard = knocks(impacts_s[impacts_s < 2.5], 2.7)
+    return with_sound(read_episode(ROOT / "sample_logs" / "filmed.mcap"), heard, 0.02)
 
 
-def test_impacts_heard_beside_a_track_lie_where_the_ball_hits(tmp_path: Path):
-    review = review_in(tmp_path, TRACK.episode(), "ok")
-    for place in ("sound", "height"):
-        heard_s = marked_s(review, f"/{place}/touch")
-        assert len(heard_s) >= 3
-        assert off_s(heard_s, TRACK.clip.scene.touches_s) < 0.01
-    assert "white: heard" in sound_views(review)[0]
+def fall_and_speech(folder: Path) -> Episode:
+    order = {"restitution": 0.7, "height_m": 1.0, "seconds": 0.45, "hold_s": 0.2, "seed": 5}
+    return with_sound(read_episode(film(folder / "a.mcap", **order)), SPEECH)
 
 
-def test_impacts_heard_beside_a_film_lie_where_the_ball_hits(tmp_path: Path):
-    review = review_in(tmp_path, film_and_sound(), "ok")
-    assert "white: heard" in sound_views(review)[0]
-    assert off_s(marked_s(review, "/height/touch"), filmed_impacts_s()) < 0.01
-    pictures = picture_times_ns(review)
-    (sent_ns, _) = review.entities["/sound/envelope"]["Scalars:scalars"].timed["log_time_s"]
-    assert sent_ns[0] >= pictures[0]  # or the review would begin without a picture
-
-
-def picture_times_ns(review: Stored) -> NDArray[np.int64]:
-    (times_ns, _) = review.entities["/film/picture"]["EncodedImage:blob"].timed["log_time_s"]
-    return times_ns
-
-
-def test_a_sound_that_is_not_used_says_so(tmp_path: Path):
-    review = review_in(tmp_path, track_and_speech(), "ok")
-    assert "not used" in sound_views(review)[0]
-    assert "/sound/touch" not in review.entities
-
-
-def test_a_rejected_film_has_its_sound_too(tmp_path: Path):
-    assert sound_views(review_in(tmp_path, fall_and_speech(tmp_path), "rejected"))
-
-
-def test_a_rejected_track_has_its_sound_too(tmp_path: Path):
-    track = read_episode(record(tmp_path / "a.mcap", restitution=0.0, height_m=1.0))
+def flat_track_and_knocks(folder: Path) -> Episode:
+    track = read_episode(record(folder / "a.mcap", restitution=0.0, height_m=1.0))
     ends_s = track.signals["/ball/pose"].seconds[-1]
-    knocks_s = np.array([0.5, 1.3, ends_s + 0.5])
-    review = review_in(tmp_path, with_sound(track, knocks(knocks_s, ends_s + 1.0), 0.2), "rejected")
-    (view,) = sound_views(review)
-    assert "what knocks" in view
-    marks_s = marked_s(review, "/sound/knock")
-    assert off_s(knocks_s[:2] + 0.2, marks_s) < 0.002
-    assert marks_s.max() <= ends_s
+    return with_sound(track, knocks(np.array([0.5, 1.3, ends_s + 0.5]), ends_s + 1.0), 0.2)
 
 
-@pytest.mark.parametrize("make", [track_and_silence, lambda: sound_alone(SILENCE)])
-def test_silence_has_no_view(tmp_path: Path, make: Callable[[], Episode]):
-    assert not sound_views(review_in(tmp_path, make()))
+def last_s(track: Path) -> float:
+    return float(read_episode(track).signals["/ball/pose"].seconds[-1])
 
 
-def test_an_envelope_has_the_peaks_and_few_points():
+SCENE = draw_sound(11, 0, snr_db=25.0)
+HEARD = [  # an episode, its verdict, a title, where marks are, of what, and how far off at most
+    (lambda _: sound_alone(SCENE), "ok", "white: its impacts, red: other knocks",
+     ("/sound/heard", "/height/heard"), SCENE.scene.impacts_s, 0.002),
+    (lambda _: TRACK.episode(), "ok", "white: heard",
+     ("/sound/touch", "/height/touch"), TRACK.clip.scene.touches_s, 0.01),
+    (film_and_sound, "ok", "white: heard", ("/height/touch",), filmed_impacts_s(), 0.01),
+    (lambda _: sound_alone(knocks(np.array([1.0]), 2.0)), "rejected", "what knocks",
+     ("/sound/knock",), np.array([1.0]), 0.002),
+    (flat_track_and_knocks, "rejected", "what knocks",
+     ("/sound/knock",), np.array([0.7, 1.5]), 0.002),
+    (fall_and_speech, "rejected", "sound", (), None, 0.0),
+    (lambda _: with_sound(without_sound(TRACK.episode()), SPEECH), "ok", "not used", (), None, 0.0),
+    (lambda _: with_sound(without_sound(TRACK.episode()), SILENCE), "ok", "", (), None, 0.0),
+    (lambda _: sound_alone(SILENCE), "rejected", "", (), None, 0.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "verdict", "title", "places", "truth_s", "most_s"), HEARD)
+def test_what_is_heard_is_shown_where_it_sounds(
+    tmp_path: Path, make, verdict: str, title: str, places, truth_s, most_s: float
+):
+    """No view is ever empty, and nothing is shown of silence."""
+    path = review_of(tune_episode(make(tmp_path), TuneOptions()), tmp_path, verdict)
+    assert empty_views(path) == []
+    review = Stored(path)
+    titles = [view.name for view in review.views if view.name.startswith("sound")]
+    assert [title in one for one in titles] == [True] * bool(title)
+    for place in places:
+        marks_s = marked_s(review, place)
+        if verdict == "ok":
+            assert len(marks_s) >= (5 if place.endswith("heard") else 3)
+            assert off_s(marks_s, truth_s) < most_s
+        else:  # other sounds knock, too
+            assert off_s(truth_s, marks_s) < most_s
+            assert marks_s.max() <= 1 or marks_s.max() <= last_s(tmp_path / "a.mcap")
+    assert ("/sound/touch" in review.entities) == (title == "white: heard")
+    if make is film_and_sound:
+        (pictures_ns, _) = review.entities["/film/picture"]["EncodedImage:blob"].timed["log_time_s"]
+        (sent_ns, _) = review.entities["/sound/envelope"]["Scalars:scalars"].timed["log_time_s"]
+        assert sent_ns[0] >= pictures_ns[0]  # or the review would begin without a picture
+
+
+def test_an_envelope_has_the_peaks_few_points_and_nothing_of_broken_samples():
     sound = knocks(np.array([1.0, 100.0]), 150.0).sound()
     seconds, levels_db = envelope(sound, (99.0, 101.0))
     assert len(seconds) <= 30_000
@@ -177,11 +136,8 @@ def test_an_envelope_has_the_peaks_and_few_points():
     whole_s, whole_db = envelope(sound, (0.0, 150.0))
     assert len(whole_s) <= 30_000
     assert whole_db.max() == pytest.approx(levels_db.max(), abs=3.0)
-
-
-def test_an_envelope_of_broken_samples_is_finite_or_silent():
     samples = np.array([0.5, np.nan, np.inf, -0.25, 0.0, 0.0], np.float32)
-    sound = replace(SILENCE.sound(), samples=samples, rate_hz=100.0, file_rate_hz=100.0)
-    _, levels_db = envelope(sound, (0.0, 1.0))
+    broken = replace(sound, samples=samples, rate_hz=100.0, file_rate_hz=100.0)
+    _, levels_db = envelope(broken, (0.0, 1.0))
     assert levels_db[[0, 3]] == pytest.approx([-6.02, -12.04], abs=0.01)
     assert np.isneginf(levels_db[[1, 2, 4, 5]]).all()

@@ -1,19 +1,21 @@
-"""Logs of a pendulum that no engine simulated, and what is tuned from them."""
+"""A pendulum that no engine simulated: logs and models; a simulator that is a function."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from tunenet_logs.analysis.sysid.fit import Column, ComparedColumns, Run, noise_of
 from tunenet_logs.analysis.sysid.source import ModelSource
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
+from tunenet_logs.recorders.simulators.base import Parameter
 
 START_NS = 1_700_000_000_000_000_000
 MASS_KG, LENGTH_M, INERTIA_KG_M2 = 1.0, 0.4, 0.005
 DAMPING = 0.06
-
 FLOOR = '<geom type="plane" size="1 1 .1" pos="0 0 -0.6"/>'
 SHAPES = """
 <geom type="capsule" size=".012" fromto="0 0 0 0 0 -.4"/>
@@ -66,3 +68,24 @@ def pendulum_episode(spoiled: float = 0.0) -> Episode:
         Signal("/joint_states.velocity", stamps, values[:, 1:], ("hinge",), "rad/s"),
     ]
     return Episode(EpisodeInfo(), {one.name: one for one in signals})
+
+
+SECONDS = np.linspace(0, 10, 400)
+Shape = Callable[[Array], Array]
+
+
+def target_of(values: Array) -> ComparedColumns:
+    spread = float(np.std(values))
+    return ComparedColumns(0, (Column("s", "c", "m", SECONDS, values, noise_of(values), spread),))
+
+
+def run_of(shape: Shape) -> Run:
+    return lambda rows: np.stack([shape(row) for row in rows])
+
+
+def parameter(name: str, low: float = -5.0, high: float = 5.0) -> Parameter:
+    return Parameter(name, "1", (low, high), (low, high), (low + high) / 2)
+
+
+def line(values: Array) -> Array:
+    return values[0] + values[1] * np.sin(SECONDS)

@@ -12,13 +12,7 @@ import pytest
 from tests.analysis.drop.test_review import verified
 from tests.analysis.review.stored import Stored
 from tests.analysis.review.test_no_view_is_empty import empty_views
-from tests.analysis.sysid.pendulums import (
-    MODEL,
-    START_NS,
-    model_source,
-    pendulum_episode,
-    swing,
-)
+from tests.analysis.sysid.pendulums import MODEL, START_NS, model_source, pendulum_episode, swing
 from tunenet_logs.analysis.experiment import Tuning, record_of
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.review.tuning import write_review

@@ -1,4 +1,4 @@
-"""The page on which the ball of a recording is marked, over real HTTP, beside a real tuning."""
+"""The page on which the ball of a recording is marked, over real HTTP, and its pictures."""
 
 from __future__ import annotations
 
@@ -14,16 +14,30 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.analysis.tracking.test_thumbnails import episode_of
 from tests.conftest import BIN, Command
 from tests.pages import Page, assert_for_this_machine_alone
+from tests.recorders.test_video_file import write_video
+from tunenet_logs.analysis.tracking import picker as thumbnails
 from tunenet_logs.analysis.tracking.frames import Pictures
 from tunenet_logs.analysis.tracking.picker import Album, Marking, album_of
-from tunenet_logs.episode import EpisodeInfo, Frame
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
+from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.session import record_episode
 from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop
 from tunenet_logs.terminal import Progress
+
+
+def picture(width: int = 64, height: int = 48, quality: int = 90) -> bytes:
+    pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
+    return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
+def episode_of(frames: list[Frame]) -> Episode:
+    stamps = [frame.stamp_ns for frame in frames]
+    channel = Channel("/eye", "", "", np.array(stamps), pictures=True)
+    return Episode(EpisodeInfo(), {}, (channel,), open_frames=lambda _topic: iter(frames))
+
 
 BALL_PX, BALL_PICTURE = (159.5, 119.0), 21  # where the ball of `film` is in flight
 
@@ -230,27 +244,66 @@ def test_a_mark_that_is_none_is_refused(page: tuple[MarkingPage, Marking], body:
         (("--hsv", "0,0,0:9,9,9"), "--hsv"),
         (("--topic", "/nix"), "/camera/image_raw/compressed"),
         (("--start", "900"), "1.33 s long"),
+        (("film.mcap",), "one log"),
+        ((), "no pictures"),
     ],
 )
 def test_what_does_not_go_with_it_is_one_line(
-    command: Command, film: Path, words: tuple[str, ...], says: str
+    command: Command, film: Path, drop_log: Path, words: tuple[str, ...], says: str
 ):
-    result = command("tunenet-tune", film, "--preview", *words, cwd=film.parent)
+    log = film if words else drop_log
+    result = command("tunenet-tune", log, *words, "--preview", cwd=log.parent)
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert says in result.stderr
-
-
-def test_two_logs_are_refused(command: Command, film: Path):
-    result = command("tunenet-tune", film, film, "--preview")
-    assert result.returncode == 2
-    assert result.stderr.count("\n") == 1
-    assert "one log" in result.stderr
-
-
-def test_a_log_without_pictures_is_refused(command: Command, drop_log: Path):
-    result = command("tunenet-tune", drop_log, "--preview")
-    assert result.returncode == 2
-    assert result.stderr.count("\n") == 1
-    assert "no pictures" in result.stderr
     assert not drop_log.with_suffix(".json").exists()
+
+
+def test_long_recordings_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch):
+    data = picture()
+    monkeypatch.setattr(thumbnails, "MAX_BYTES", 20 * len(data))
+    frames = [Frame(10**9 + number * 10**7, "jpeg", data) for number in range(500)]
+    kept = album_of(episode_of(frames), "/eye")
+    seconds = [thumbnail.seconds for thumbnail in kept.thumbnails]
+    assert 10 <= len(seconds) <= 20
+    assert seconds[0] == 0
+    assert np.ptp(np.diff(seconds)) < 1e-9
+
+
+def test_a_video_is_made_smaller_and_its_marks_are_not(tmp_path: Path):
+    stamps = [number * 10 for number in range(350)]
+    path = write_video(tmp_path / "a.mp4", stamps)
+    video = read_episode(path)
+    kept = album_of(video, "video")
+    assert 150 <= len(kept.thumbnails) <= thumbnails.MAX_REDUCED
+    assert all(thumbnail.data.startswith(b"\xff\xd8") for thumbnail in kept.thumbnails)
+    pixels = np.zeros((1000, 2000, 3), np.uint8)
+    large = Frame(0, "rgb8", pixels.tobytes(), (2000, 1000))
+    kept = album_of(episode_of([large]), "/eye")
+    assert kept.size_px == (2000, 1000)
+    shown = cv2.imdecode(np.frombuffer(kept.thumbnails[0].data, np.uint8), cv2.IMREAD_COLOR)
+    assert shown is not None
+    assert shown.shape == (480, 960, 3)
+    heavy = Frame(0, "jpeg", picture(1200, 900, quality=100))
+    (thumbnail,) = album_of(episode_of([heavy]), "/eye").thumbnails
+    assert len(thumbnail.data) < len(heavy.data)
+
+
+def test_what_cannot_be_shown_is_left_out():
+    whole = picture()
+    good = Frame(0, "jpeg", whole)
+    frames = [
+        Frame(0, "jpeg", b"none"),
+        replace(good, stamp_ns=10**9),
+        Frame(2 * 10**9, "jpeg", whole[:-200]),  # cut off
+        replace(good, stamp_ns=10**9),  # time stands still
+        Frame(3 * 10**9, "jpeg", picture(32, 32)),  # of another size
+        Frame(4 * 10**9, "jpeg", whole[:30]),
+        replace(good, stamp_ns=5 * 10**9),
+    ]
+    kept = album_of(episode_of(frames), "/eye")
+    assert [thumbnail.seconds for thumbnail in kept.thumbnails] == [1, 5]
+    kept = album_of(episode_of(frames), "/eye", start_s=0.5, end_s=4.5)
+    assert [thumbnail.seconds for thumbnail in kept.thumbnails] == [1]
+    with pytest.raises(UsageError, match="no picture"):
+        album_of(episode_of(frames[:1]), "/eye")

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from tests.analysis.films import CAMERA, ORDER, kept, rendered_ball
-from tests.analysis.tracking.projected_track import projected_track
 from tests.conftest import Made
 from tests.strangers import bounce_heights
 from tunenet_logs.analysis.drop.film import find_filmed_drop
@@ -18,7 +19,7 @@ from tunenet_logs.analysis.evaluation.studies.video import tune_track
 from tunenet_logs.analysis.options import Hints, TuneOptions
 from tunenet_logs.analysis.tracking.frames import Pictures
 from tunenet_logs.analysis.tracking.track import Track, track_ball
-from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Picture
 from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop, simulate_drop
 from tunenet_logs.recorders.simulators.ball import TOPIC
@@ -89,15 +90,6 @@ def test_random_cameras_colours_blur_and_noise(seed: int):
     assert found[0] == pytest.approx(0.65, abs=0.01)
 
 
-def test_projection_stands_in_for_rendering(track: Track):
-    """Training data is projected: what it leaves out is part of a pixel."""
-    rng = np.random.default_rng(0)
-    projected = projected_track(simulate_drop(ORDER), CAMERA, 0.0, 0.0, rng)
-    off = (track.places_px - projected.places_px)[track.found & projected.found]
-    assert np.abs(np.median(off, axis=0)).max() < 0.1
-    assert off.std(axis=0).max() < 0.2
-
-
 @pytest.mark.parametrize(
     ("ball", "wall", "rate_hz"),
     [
@@ -109,8 +101,6 @@ def test_projection_stands_in_for_rendering(track: Track):
 )
 def test_a_grey_ball_before_a_grey_wall_casting_a_shadow(ball: int, wall: int, rate_hz: float):
     """Drawn here: a ball without colour differs from the wall as its own shadow does."""
-    import cv2
-
     times = np.arange(round(2.2 * rate_hz)) / rate_hz - 0.25
     rows = 430 - 380 * bounce_heights(0.75, 1.0, times)
     rng = np.random.default_rng(4)
@@ -181,8 +171,6 @@ def test_a_video_that_lies_on_its_side_falls_sideways(episode: Episode, track: T
 
 
 def test_a_large_picture_is_reduced_and_its_pixels_are_its_own(episode: Episode):
-    import cv2
-
     size = (960, 720)
     camera = PinholeCamera(CAMERA.position_m, CAMERA.target_m, size)
     large = changed(episode, lambda _index, pixels: cv2.resize(pixels, size))
@@ -193,73 +181,73 @@ def test_a_large_picture_is_reduced_and_its_pixels_are_its_own(episode: Episode)
     assert off_px(track, camera=camera).std(axis=0).max() < 0.5
 
 
-def test_a_box_around_the_way_of_the_ball_is_enough(episode: Episode, track: Track):
-    x, _ = np.nanmedian(track.places_px, axis=0)
-    boxed = tracked(episode, Hints(roi=(int(x) - 30, 20, 60, 200)))
-    assert boxed.found.mean() > 0.95
+def test_damaged_pictures_are_left_out_and_counted(episode: Episode):
+    def frames(topic: str) -> Iterator[Frame]:
+        for index, frame in enumerate(episode.frames(topic)):
+            yield replace(frame, data=frame.data[:40]) if index % 20 == 7 else frame
+
+    pictures = Pictures(replace(episode, open_frames=frames), episode.picture_topics[0])
+    assert pictures.damaged == len([index for index in range(84) if index % 20 == 7])
+    assert track_ball(pictures).found.mean() > 0.95
 
 
-def test_its_colour_is_enough(episode: Episode, track: Track):
-    import cv2
-
-    hue, *_ = cv2.cvtColor(np.uint8([[track.colour]]), cv2.COLOR_RGB2HSV)[0, 0].tolist()  # type: ignore[arg-type]
-    low, high = (hue - 8) % 180, (hue + 8) % 180
-    by_colour = tracked(episode, Hints(hsv=((low, 90, 40), (high, 255, 255))))
-    assert by_colour.found.mean() > 0.9
-    assert off_px(by_colour).std(axis=0).max() < 0.5
+def seconds_of(track: Track, frame: int) -> float:
+    return float(track.stamps_ns[frame] - track.stamps_ns[0]) * 1e-9
 
 
-def test_where_it_was_seen_is_enough(episode: Episode, track: Track):
-    frame = 30
-    x, y = track.places_px[frame]
-    seconds = float(track.stamps_ns[frame] - track.stamps_ns[0]) * 1e-9
-    assert tracked(episode, Hints(ball_at=(x, y, seconds))).found.mean() > 0.95
+def hinted(track: Track, by: str) -> Hints:
+    """What a user says who knows the ball's way, its colour, or where it was once."""
+    if by == "box":
+        return Hints(roi=(int(np.nanmedian(track.places_px[:, 0])) - 30, 20, 60, 200))
+    if by == "colour":
+        hue, *_ = cv2.cvtColor(np.uint8([[track.colour]]), cv2.COLOR_RGB2HSV)[0, 0].tolist()  # type: ignore[arg-type]
+        return Hints(hsv=(((hue - 8) % 180, 90, 40), ((hue + 8) % 180, 255, 255)))
+    x, y = track.places_px[30] + ((30, -20) if by == "a place near it" else (0, 0))
+    return Hints(ball_at=(x, y, seconds_of(track, 30)))
+
+
+@pytest.mark.parametrize("by", ["box", "colour", "its place", "a place near it"])
+def test_one_hint_is_enough(episode: Episode, track: Track, by: str):
+    found = tracked(episode, hinted(track, by))
+    assert found.found.mean() > (0.9 if by == "colour" else 0.95)
+    assert off_px(found).std(axis=0).max() < 0.5
+
+
+WHOLE = r"0\.00 to 1\.38 s \(the recording is 1\.38 s long\)"
+PART = r"0\.50 to 1\.18 s .* 1\.38 s long"
 
 
 @pytest.mark.parametrize(
-    "hints",
+    ("hints", "part", "says"),
     [
-        Hints(roi=(300, 0, 100, 100)),
-        Hints(roi=(0, 0, 10, 1000)),
-        Hints(ball_at=(400.0, 10.0, 0.0)),
+        (Hints(roi=(300, 0, 100, 100)), {}, "320 x 240"),
+        (Hints(roi=(0, 0, 10, 1000)), {}, "320 x 240"),
+        (Hints(ball_at=(400.0, 10.0, 0.0)), {}, "320 x 240"),
+        (Hints(ball_at=(160.0, 120.0, 1.9)), {}, WHOLE),
+        (Hints(ball_at=(160.0, 120.0, 99.0)), {}, WHOLE),
+        (Hints(ball_at=(160.0, 120.0, 0.2)), {"start_s": 0.5, "end_s": 1.19}, PART),
+        (Hints(ball_at=(160.0, 120.0, 1.5)), {"start_s": 0.5, "end_s": 1.19}, PART),
     ],
 )
-def test_a_mark_outside_the_picture_is_refused(episode: Episode, hints: Hints):
-    with pytest.raises(UsageError, match="320 x 240"):
-        tracked(episode, hints)
+def test_a_mark_outside_picture_or_part_is_refused(
+    episode: Episode, hints: Hints, part: dict[str, Any], says: str
+):
+    with pytest.raises(UsageError, match=says):
+        track_ball(Pictures(episode, episode.picture_topics[0], **part), hints)
 
 
-@pytest.mark.parametrize("at_s", [1.9, 99.0])
-def test_a_mark_past_the_end_is_refused_with_the_length(episode: Episode, at_s: float):
-    with pytest.raises(UsageError, match=r"0\.00 to 1\.38 s \(the recording is 1\.38 s long\)"):
-        tracked(episode, Hints(ball_at=(160.0, 120.0, at_s)))
-
-
-def test_a_mark_outside_the_part_selected_is_refused(episode: Episode):
-    pictures = Pictures(episode, episode.picture_topics[0], start_s=0.5, end_s=1.19)
-    for at_s in (0.2, 1.5):
-        with pytest.raises(UsageError, match=r"0\.50 to 1\.18 s .* 1\.38 s long"):
-            track_ball(pictures, Hints(ball_at=(160.0, 120.0, at_s)))
-
-
-def test_a_part_past_the_end_is_refused_with_the_length(episode: Episode):
+def test_what_cannot_be_looked_for_is_named(episode: Episode, track: Track):
+    topic, still = episode.picture_topics[0], next(episode.frames()).decode()
     with pytest.raises(NotFoundError, match=r"--start 9 is past the end: .* is 1\.38 s long"):
-        Pictures(episode, episode.picture_topics[0], start_s=9)
-
-
-def test_a_mark_need_not_be_exact_but_near(episode: Episode, track: Track):
-    x, y = track.places_px[30]
-    seconds = float(track.stamps_ns[30] - track.stamps_ns[0]) * 1e-9
-    assert tracked(episode, Hints(ball_at=(x + 30, y - 20, seconds))).found.mean() > 0.95
+        Pictures(episode, topic, start_s=9)
+    first = next(episode.frames())
+    with pytest.raises(NotFoundError, match="too few"):
+        tracked(replace(episode, open_frames=lambda _topic: iter([first])))
     with pytest.raises(NotFoundError, match="nothing moves near 5, 5 px") as refused:
-        tracked(episode, Hints(ball_at=(5.0, 5.0, seconds)))
+        tracked(episode, Hints(ball_at=(5.0, 5.0, seconds_of(track, 30))))
     named = re.search(r"the nearest at (\d+), (\d+) px", str(refused.value))
     assert named is not None
-    assert [float(one) for one in named.groups()] == pytest.approx([x, y], abs=1)
-
-
-def test_nothing_moves(episode: Episode):
-    still = next(episode.frames()).decode()
+    assert [float(one) for one in named.groups()] == pytest.approx(track.places_px[30], abs=1)
 
     def noisy(index: int, _pixels: np.ndarray) -> np.ndarray:
         noise = 4 * np.random.default_rng(index).standard_normal(still.shape, np.float32)
@@ -269,17 +257,42 @@ def test_nothing_moves(episode: Episode):
         tracked(changed(episode, noisy))
 
 
-def test_one_picture_is_too_few(episode: Episode):
-    first = next(episode.frames())
-    with pytest.raises(NotFoundError, match="too few"):
-        tracked(replace(episode, open_frames=lambda _topic: iter([first])))
+WIDE, TALL = 320, 240
 
 
-def test_damaged_pictures_are_left_out_and_counted(episode: Episode):
-    def frames(topic: str) -> Iterator[Frame]:
-        for index, frame in enumerate(episode.frames(topic)):
-            yield replace(frame, data=frame.data[:40]) if index % 20 == 7 else frame
+def room() -> Picture:
+    """Something to see everywhere, three times as wide as a picture."""
+    rng = np.random.default_rng(3)
+    coarse = rng.integers(40, 220, (TALL // 12, 3 * WIDE // 12, 3)).astype(np.uint8)
+    size = (3 * WIDE, TALL)
+    return np.asarray(cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC), np.uint8)
 
-    pictures = Pictures(replace(episode, open_frames=frames), episode.picture_topics[0])
-    assert pictures.damaged == len([index for index in range(84) if index % 20 == 7])
-    assert track_ball(pictures).found.mean() > 0.95
+
+def with_ball(picture: Picture, x: float, y: float) -> Picture:
+    shown = picture.copy()
+    cv2.circle(shown, (round(x), round(y)), 9, (250, 120, 20), -1, cv2.LINE_AA)
+    return shown
+
+
+def episode_of(pictures: Sequence[Picture], rate_hz: float = 30.0) -> Episode:
+    stamps = np.round(np.arange(len(pictures)) / rate_hz * 1e9).astype(np.int64)
+    frames = [
+        Frame(int(stamp), "rgb8", picture.tobytes(), (WIDE, TALL))
+        for stamp, picture in zip(stamps, pictures, strict=True)
+    ]
+    channel = Channel("c", "rgb8", "raw", stamps, pictures=True)
+    return Episode(EpisodeInfo(), {}, (channel,), open_frames=lambda _topic: iter(frames))
+
+
+def test_a_camera_that_moves_is_named_before_anything_is_looked_for():
+    view = room()
+    pictures = [view[:, 8 * at : 8 * at + WIDE] for at in range(60)]
+    with pytest.raises(NotFoundError, match="the camera moves"):
+        track_ball(Pictures(episode_of([np.ascontiguousarray(one) for one in pictures]), "c"))
+
+
+def test_a_ball_that_rolls_across_the_picture_never_falls():
+    view = np.ascontiguousarray(room()[:, :WIDE] // 2)
+    pictures = [with_ball(view, 20 + 6 * at - 0.03 * at**2, 180) for at in range(50)]
+    with pytest.raises(NotFoundError, match=r"never falls|nothing falls"):
+        find_filmed_drop(track_ball(Pictures(episode_of(pictures), "c")), 0)

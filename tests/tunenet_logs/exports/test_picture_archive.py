@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 
 COUNT = 12
+PNGS = [f"{number}.png" for number in range(COUNT)]
 
 
 def numbered(number: int) -> np.ndarray:
@@ -27,14 +29,24 @@ def numbered(number: int) -> np.ndarray:
     return np.full((24, 32, 3), 20 * number, np.uint8)
 
 
-def encoded(number: int, suffix: str) -> bytes:
-    return cv2.imencode(suffix, numbered(number))[1].tobytes()
+def encoded(number: int, suffix: str, depth: int = 8) -> bytes:
+    pixels = numbered(number)
+    if depth > 8:  # of 12 bits in 16
+        pixels = pixels[:, :, 0].astype(np.uint16) << 4
+    return cv2.imencode(suffix, pixels)[1].tobytes()
 
 
-def folder_of(path: Path, names: list[str]) -> Path:
+def folder_of(path: Path, names: Sequence[str] = PNGS, depth: int = 8) -> Path:
     path.mkdir()
     for number, name in enumerate(names):
-        (path / name).write_bytes(encoded(number, Path(name).suffix))
+        (path / name).write_bytes(encoded(number, Path(name).suffix, depth))
+    return path
+
+
+def zip_of(path: Path, names: Sequence[str] = PNGS) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for number, name in enumerate(names):
+            archive.writestr(name, encoded(number, Path(name).suffix))
     return path
 
 
@@ -47,62 +59,49 @@ def stamps_of(episode: Episode) -> list[int]:
     return [frame.stamp_ns for frame in episode.frames()]
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif", ".webp", ".ppm"])
-def test_numbers_count_and_not_letters(tmp_path: Path, suffix: str):
-    path = folder_of(tmp_path / "a", [f"take2_img{number}{suffix}" for number in range(COUNT)])
-    episode = read_episode(path, ReadOptions(fps=500))
-    assert order_of(episode) == list(range(COUNT))
-    assert stamps_of(episode) == [2_000_000 * number for number in range(COUNT)]
-    assert not episode.frames_untimed
+TIMES = [1403636579763555584 + 50_000_000 * number for number in range(COUNT)]
 
 
-def test_without_a_rate_they_count_frames(tmp_path: Path):
-    episode = read_episode(folder_of(tmp_path / "a", [f"{n}.png" for n in range(1, COUNT)]))
-    assert episode.frames_untimed
-    assert episode.info.notes["rate_hz"] == "unknown"
-    assert stamps_of(episode) == [FRAME_NS * number for number in range(COUNT - 1)]
-    assert "say it with --fps" in episode.warnings[0]
+@pytest.mark.parametrize(
+    ("names", "fps", "stamps", "says"),
+    [
+        *(([f"take2_img{n}{suffix}" for n in range(COUNT)], 500,
+           [2_000_000 * n for n in range(COUNT)], "")
+          for suffix in (".png", ".jpg", ".bmp", ".tif", ".webp", ".ppm")),
+        (PNGS, None, [FRAME_NS * n for n in range(COUNT)], "say it with --fps"),
+        ([f"{10 * n}.png" for n in range(COUNT) if n != 3], 100,
+         [10_000_000 * n for n in range(COUNT) if n != 3],
+         "1 numbers between the first and the last have no picture"),
+        ([f"{one}.png" for one in TIMES], None, TIMES, ""),  # names that are the clock
+    ],
+)  # fmt: skip
+def test_numbers_count_and_not_letters(
+    tmp_path: Path, names: list[str], fps: float | None, stamps: list[int], says: str
+):
+    episode = read_episode(folder_of(tmp_path / "a", names), ReadOptions(fps=fps))
+    assert order_of(episode) == list(range(len(names)))
+    assert stamps_of(episode) == stamps
+    assert says in " ".join(episode.warnings)
+    assert episode.frames_untimed == (names is PNGS)
+    if names is PNGS:
+        assert episode.info.notes["rate_hz"] == "unknown"
 
 
-def test_a_number_that_is_missing_is_a_gap(tmp_path: Path):
-    names = [f"{10 * number}.png" for number in range(COUNT) if number != 3]
-    episode = read_episode(folder_of(tmp_path / "a", names), ReadOptions(fps=100))
-    wanted = [10_000_000 * number for number in range(COUNT) if number != 3]
-    assert stamps_of(episode) == wanted
-    assert "1 numbers between the first and the last have no picture" in episode.warnings[0]
-
-
-def test_names_that_are_times_are_the_clock(tmp_path: Path):
-    times = [1403636579763555584 + 50_000_000 * number for number in range(COUNT)]
-    episode = read_episode(folder_of(tmp_path / "a", [f"{one}.png" for one in times]))
-    assert stamps_of(episode) == times
-    assert not episode.frames_untimed
-
-
-def test_two_cameras_are_two_films(tmp_path: Path):
+def test_two_cameras_are_two_films_and_twelve_bits_in_sixteen_are_not_dark(tmp_path: Path):
     names = [f"{side}_{number}.png" for number in range(5) for side in ("left", "right")]
     episode = read_episode(folder_of(tmp_path / "a", [*names, "calibration.png"]))
     assert episode.picture_topics == ("left", "right")
     assert order_of(episode, "right") == [1, 3, 5, 7, 9]
     assert [one.topic for one in episode.channels if one.skipped] == ["calibration.png"]
-
-
-def test_twelve_bits_in_sixteen_are_not_dark(tmp_path: Path):
     for suffix in (".tif", ".png"):
-        (tmp_path / suffix).mkdir()
-        for number in range(COUNT):
-            deep = numbered(number)[:, :, 0].astype(np.uint16) << 4
-            (tmp_path / suffix / f"{number}{suffix}").write_bytes(
-                cv2.imencode(suffix, deep)[1].tobytes()
-            )
-        assert order_of(read_episode(tmp_path / suffix)) == list(range(COUNT))
+        deep = [f"{number}{suffix}" for number in range(COUNT)]
+        assert order_of(read_episode(folder_of(tmp_path / suffix, deep, 12))) == list(range(COUNT))
 
 
 def test_no_link_is_followed_and_damage_is_counted(tmp_path: Path):
-    path = folder_of(tmp_path / "a", [f"{number}.png" for number in range(COUNT)])
-    secret = tmp_path / "secret.png"
-    secret.write_bytes(encoded(1, ".png"))
-    (path / "99.png").symlink_to(secret)
+    path = folder_of(tmp_path / "a")
+    (tmp_path / "secret.png").write_bytes(encoded(1, ".png"))
+    (path / "99.png").symlink_to(tmp_path / "secret.png")
     (path / "3.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(50))
     frames = list(read_episode(path).frames())
     assert len(frames) == COUNT
@@ -110,19 +109,17 @@ def test_no_link_is_followed_and_damage_is_counted(tmp_path: Path):
         frames[3].decode()
 
 
-def zip_of(path: Path, names: list[str]) -> Path:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for number, name in enumerate(names):
-            archive.writestr(name, encoded(number, Path(name).suffix))
-    return path
-
-
 def test_a_zip_is_read_where_it_lies(tmp_path: Path):
     names = [f"../drop/{number}.png" for number in range(COUNT)]
     path = zip_of(tmp_path / "a.zip", [*names, "__MACOSX/drop/._1.png"])
-    episode = read_episode(path, ReadOptions(fps=100))
-    assert order_of(episode) == list(range(COUNT))
+    assert order_of(read_episode(path, ReadOptions(fps=100))) == list(range(COUNT))
     assert sorted(tmp_path.iterdir()) == [path]
+    data = zip_of(path, PNGS[:4]).read_bytes()
+    at = data.rindex(b"PK\x01\x02")  # the directory's last entry: its name becomes a remark
+    name = len("3.png").to_bytes(2, "little")
+    assert data[at + 28 : at + 30] == name
+    path.write_bytes(data[: at + 28] + bytes(2) + bytes(2) + name + data[at + 34 :])
+    assert len(list(read_episode(path).frames())) == 3  # a file without a name is no picture
 
 
 def bomb(path: Path) -> None:
@@ -132,17 +129,17 @@ def bomb(path: Path) -> None:
 
 
 def of_many(path: Path) -> None:
-    data = bytearray(zip_of(path, [f"{number}.png" for number in range(COUNT)]).read_bytes())
+    data = bytearray(zip_of(path).read_bytes())
     data[-10:-6] = b"\xff\xff\xff\x7f"
     path.write_bytes(data)
 
 
 def cut(path: Path) -> None:
-    data = zip_of(path, [f"{number}.png" for number in range(COUNT)]).read_bytes()
+    data = zip_of(path).read_bytes()
     path.write_bytes(data[: len(data) // 2])
 
 
-BAD_ZIPS = {
+BAD_ZIPS: dict[str, Callable[[Path], object]] = {
     "without pictures": lambda path: zip_of(path, ["a.bmp"]),
     "unpacks to": bomb,
     "too many files": of_many,
@@ -161,27 +158,19 @@ def test_a_zip_that_is_no_film_says_what_it_is(tmp_path: Path, words: str):
     assert "\n" not in str(refused.value)
 
 
-def animation(path: Path, *, milliseconds: int = 20) -> Path:
-    """Numbered pictures whose lower half alone changes."""
-    film: Any = cv2.Animation()
-    film.frames = [np.vstack([numbered(5), numbered(number)]) for number in range(COUNT)]
-    film.durations = [milliseconds] * COUNT
-    assert cv2.imwriteanimation(str(path), film, [cv2.IMWRITE_WEBP_QUALITY, 101])
-    return path
-
-
 def test_an_animated_webp_is_a_film(tmp_path: Path):
-    path = animation(tmp_path / "a.webp")
+    """Of pictures whose lower half alone changes."""
+    path, film = tmp_path / "a.webp", cv2.Animation()
+    film.frames = [np.vstack([numbered(5), numbered(number)]) for number in range(COUNT)]
+    durations: Any = [20] * COUNT
+    film.durations = durations
+    assert cv2.imwriteanimation(str(path), film, [cv2.IMWRITE_WEBP_QUALITY, 101])
     episode = read_episode(path)
     shown = [frame.decode() for frame in episode.frames()]
     assert [round(float(one[24:].mean()) / 20) for one in shown] == list(range(COUNT))
     assert {round(float(one[:24].mean()) / 20) for one in shown} == {5}
     assert stamps_of(episode) == [20_000_000 * number for number in range(COUNT)]
     assert stamps_of(read_episode(path, ReadOptions(fps=100)))[1] == 10_000_000
-
-
-def test_a_cut_animation_is_damaged(tmp_path: Path):
-    path = animation(tmp_path / "a.webp")
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
     episode = read_episode(path)
     assert episode.losses
@@ -190,28 +179,20 @@ def test_a_cut_animation_is_damaged(tmp_path: Path):
 
 @pytest.mark.parametrize("kind", ["folder", "zip"])
 def test_a_drop_in_numbered_pictures_is_tuned(made: Made, tmp_path: Path, kind: str):
-    film = read_episode(short_film(made, rate_hz=60))
-    names = [f"img{number}.jpg" for number, _ in enumerate(film.frames())]
+    pictures = {
+        f"img{number}.jpg": frame.data
+        for number, frame in enumerate(read_episode(short_film(made, rate_hz=60)).frames())
+    }
     path = tmp_path / ("a.zip" if kind == "zip" else "a")
     if kind == "zip":
         with zipfile.ZipFile(path, "w") as archive:
-            for name, frame in zip(names, film.frames(), strict=True):
-                archive.writestr(name, frame.data)
+            for name, data in pictures.items():
+                archive.writestr(name, data)
     else:
         path.mkdir()
-        for name, frame in zip(names, film.frames(), strict=True):
-            (path / name).write_bytes(frame.data)
+        for name, data in pictures.items():
+            (path / name).write_bytes(data)
     tuning = tune_log(path, TuneOptions())
     assert tuning.verdict == "ok", tuning.reason
     assert tuning.estimate is not None
     assert tuning.estimate[0] == pytest.approx(0.7, abs=0.005)
-
-
-def test_a_file_without_a_name_is_no_picture(tmp_path: Path):
-    path = zip_of(tmp_path / "a.zip", ["1.png", "2.png", "3.png", "4.png"])
-    data = path.read_bytes()
-    at = data.rindex(b"PK\x01\x02")  # the directory's last entry: its name becomes a remark
-    name = len("4.png").to_bytes(2, "little")
-    assert data[at + 28 : at + 30] == name
-    path.write_bytes(data[: at + 28] + bytes(2) + bytes(2) + name + data[at + 34 :])
-    assert len(list(read_episode(path).frames())) == 3

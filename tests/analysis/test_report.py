@@ -1,0 +1,411 @@
+"""Pages as a browser opens them: whole, without a network, the JSON's figures, and safe."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.analysis.records import drop_record, rejected_record
+from tests.conftest import ROOT, Command, real
+from tunenet_logs.analysis.record import to_json
+from tunenet_logs.images import decode_image
+
+LOGS = ("filmed", "light", "payload")
+MAX_BYTES = 3_000_000
+CHROMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+WIDTHS = {"desktop": (1280, 720), "phone": (390, 844)}  # of a window [px]: width and height
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What a browser made of a page.
+
+    Attributes:
+        text: that is seen.
+        height_px: of the whole page.
+        picture: of the first window.
+    """
+
+    text: str
+    height_px: int
+    picture: bytes
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A Chromium or Chrome that is installed, without a screen."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+    place = next(filter(None, map(shutil.which, CHROMES)), None)
+    if place is None:
+        pytest.skip("needs Chromium or Chrome, which is not installed")
+    with sync_api.sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=place, args=["--no-sandbox"])
+        yield opened
+        opened.close()
+
+
+def opened(browser: Any, path: Path, width: str = "desktop", script: str = "") -> Opened:
+    """Open a page from the disk; `script` must be true in it.
+
+    Every page is small and as wide as the window, asks for nothing and says nothing.
+    """
+    assert path.stat().st_size < MAX_BYTES
+    across, down = WIDTHS[width]
+    page = browser.new_page(viewport={"width": across, "height": down})
+    requests: list[str] = []
+    messages: list[str] = []
+    page.on("request", lambda one: requests.append(one.url))
+    page.on("console", lambda one: messages.append(one.text))
+    page.on("pageerror", lambda one: messages.append(str(one)))
+    page.on("dialog", lambda one: (messages.append(f"dialog: {one.message}"), one.dismiss()))
+    page.goto(path.as_uri())
+    root = "document.documentElement"
+    assert page.evaluate(f"{root}.scrollWidth - {root}.clientWidth") == 0
+    height_px = page.evaluate(f"{root}.scrollHeight")
+    found = Opened(page.inner_text("body"), height_px, page.screenshot())
+    assert not script or page.evaluate(script), script
+    page.close()
+    assert [one for one in requests if not one.startswith("data:")] == [path.as_uri()]
+    assert not messages
+    return found
+
+
+IMAGES_ARE_DRAWN = (
+    "[...document.images].length > 0 && "
+    "[...document.images].every(one => one.naturalWidth > 50 && one.alt.length > 20)"
+)
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory: pytest.TempPathFactory, command: Command) -> Path:
+    """A folder with tunings and reviews of sample logs, and of one without a drop in it."""
+    folder = tmp_path_factory.mktemp("tuned")
+    still = folder / "still.csv"
+    still.write_text("t,z\n" + "".join(f"{k / 100},1.0\n" for k in range(200)))
+    logs = [*(ROOT / "sample_logs" / f"{name}.mcap" for name in LOGS), still]
+    command("tunenet-tune", *logs, "-o", folder, "--quiet")
+    assert {path.stem for path in folder.glob("*.json")} == {*LOGS, "still"}
+    return folder
+
+
+@pytest.fixture(scope="module")
+def reports(tuned: Path, command: Command) -> Path:
+    """A page of each, one of all, and a comparison's."""
+    for name in (*LOGS, "still"):
+        done = command("tunenet-report", tuned / f"{name}.json", "-o", tuned / f"{name}.html")
+        assert done.returncode == 0, done.stderr
+    done = command("tunenet-report", tuned, "-o", tuned / "all.html")
+    assert done.returncode == 0, done.stderr
+    done = command("tunenet-compare", tuned, "--html", tuned / "compared.html")
+    assert done.returncode == 0, done.stderr
+    return tuned
+
+
+PAGES = (*LOGS, "still", "all", "compared")
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_opens_from_the_disk_and_needs_nothing_else(
+    reports: Path,
+    browser: Any,
+    name: str,
+    width: str,
+):
+    path = reports / f"{name}.html"
+    page = opened(browser, path, width, IMAGES_ARE_DRAWN if name != "still" else "")
+    assert page.height_px > 700
+    assert len(page.text) > 400
+    assert decode_image(page.picture, "png").std() > 10, "the first window is empty"
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_the_figures_of_a_page_are_those_of_the_json(reports: Path, browser: Any, name: str):
+    known = json.loads((reports / f"{name}.json").read_text())
+    text = opened(browser, reports / f"{name}.html").text
+    for parameter in known["parameters"].values():
+        values, ends = parameter["value"], parameter["interval95"]
+        if not isinstance(values, list):
+            values, ends = [values], [ends]
+        for value, (low, high) in zip(values, ends, strict=True):
+            assert f"{round(value, 4) + 0.0:.4f}" in text
+            assert any(f"{low:.{digits}f} to {high:.{digits}f}" in text for digits in (4, 5, 6)), (
+                low,
+                high,
+            )
+    for bounce in known["bounces"]:
+        row = f"{bounce['time_s']:.4f}\t{bounce['restitution']:.4f}\t"
+        assert row in text
+        assert f"{bounce['impact_speed']:.3f}" in text
+    for check in known["checks"]:
+        assert check["name"] in text
+        assert check["detail"].split(" (")[0] in text
+    for step in known["iterations"]:
+        assert f"\t{round(next(iter(list(step.values())[1:])), 4) + 0.0:.4f}" in text
+    assert known["provenance"]["log_sha256"] in text
+    assert known["provenance"]["date"] in text
+    assert known["simulator"]["engine"] in text
+    assert known["weights"]["sha256"] in text
+    fit = known["simulation_fit"]
+    if fit is not None:
+        assert f"{fit['rms_percent']:.2f} % of the drop height, rms" in text
+
+
+def test_the_verdict_comes_first_and_says_what_to_do(reports: Path, browser: Any):
+    ok = opened(browser, reports / "filmed.html").text
+    assert ok.startswith("filmed.mcap\n")
+    assert 0 < ok.index("✓ ok") < ok.index("tunenet-export filmed.json") < ok.index("restitution")
+    rejected = opened(browser, reports / "still.html").text
+    known = json.loads((reports / "still.json").read_text())
+    assert 0 < rejected.index("✕ rejected") < rejected.index(known["reason"][:80])
+    assert "Parameters" not in rejected
+
+
+def test_a_film_shows_its_pictures_with_the_track_and_a_payload_its_torques(reports: Path):
+    film, payload = ((reports / f"{name}.html").read_text() for name in ("filmed", "payload"))
+    assert film.count("data:image/jpeg;base64,") == 2
+    assert "20 pictures from" in film
+    assert "circles where the ball was found" in film
+    assert "joint 7" in payload
+    assert "Measured and simulated torques" in payload
+    assert "data:image/jpeg" not in payload
+
+
+def test_without_the_review_the_page_says_what_is_missing(
+    tuned: Path, tmp_path: Path, command: Command
+):
+    """The review of another log counts as none."""
+    other = tuned / "light.rrd"
+    for name, words in (("filmed", "No pictures of the film"), ("payload", "No torques")):
+        path = tmp_path / f"{name}.json"
+        path.write_bytes((tuned / f"{name}.json").read_bytes())
+        for beside, why in ((None, "is not beside the JSON"), (other, "the review of another log")):
+            if beside is not None:
+                path.with_suffix(".rrd").write_bytes(beside.read_bytes())
+            out = tmp_path / f"{name}.html"
+            done = command("tunenet-report", path, "-o", out, "--overwrite")
+            assert done.returncode == 0, done.stderr
+            page = out.read_text()
+            assert words in page
+            assert why in page
+            assert "data:image/jpeg" not in page
+
+
+def test_several_tunings_have_an_overview_with_links_and_a_comparison(
+    reports: Path,
+    browser: Any,
+):
+    script = "[...document.querySelectorAll('nav a')].length == 4 && "
+    script += (
+        "[...document.querySelectorAll('nav a')].every(one => document.querySelector(one.hash))"
+    )
+    text = opened(browser, reports / "all.html", script=script).text
+    assert "4 tunings · 3 ok · 1 rejected" in text
+    assert "restitution: they differ" in text
+    compared = opened(browser, reports / "compared.html").text
+    assert "Holm" in compared
+    assert re.search(r"Without a value\n.*still\.csv", compared, re.DOTALL)
+
+
+def test_a_page_is_marked_and_the_same_each_time(reports: Path, tmp_path: Path, command: Command):
+    again = tmp_path / "again.html"
+    assert command("tunenet-report", reports / "filmed.json", "-o", again).returncode == 0
+    assert again.read_bytes() == (reports / "filmed.html").read_bytes()
+    assert re.match(
+        "<!doctype html>\n<!-- tunenet-logs page of [^ ]+@[0-9a-f]{32} -->", again.read_text()
+    )
+
+
+def test_a_campaign_has_its_rates_balls_and_attempts(
+    tmp_path: Path, browser: Any, command: Command
+):
+    folder = ROOT / "sample_logs" / "campaign"
+    for log in folder.glob("*.mcap"):
+        (tmp_path / log.name).write_bytes(log.read_bytes())
+    command("tunenet-tune", *sorted(tmp_path.glob("drop_*.mcap")), "--quiet")
+    out = tmp_path / "campaign.html"
+    done = command("tunenet-report", tmp_path, "-o", out, "--quiet", "--jobs", 1)
+    assert done.returncode == 0, done.stderr
+    reviewed = command("tunenet-review", tmp_path, "-o", tmp_path / "c.rrd", "--quiet", "--jobs", 1)
+    page = opened(browser, out, "phone", IMAGES_ARE_DRAWN)
+    for line in reviewed.stdout.splitlines():
+        if counted := re.search(r"^(.{30})  (\d+)/(\d+) = ", line):
+            name, successes, count = (one.strip() for one in counted.groups())
+            assert f"{name}\t{successes} of {count}\t" in page.text
+        if ball := re.search(r"^(.{30})  restitution ([\d.]+)", line):
+            assert f"{ball[1].strip()}\t{ball[2]}\t" in page.text
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("videos/red_ball_drop_120fps.mp4", marks=pytest.mark.slow),
+        "labs/motive_basketball_10.csv",
+        "ros1/jaco2_no_effort.bag",
+    ],
+)
+def test_logs_that_others_made_have_a_page(
+    tmp_path: Path,
+    browser: Any,
+    command: Command,
+    name: str,
+):
+    log = real(name)
+    command("tunenet-tune", log, "-o", tmp_path, "--quiet")
+    out = tmp_path / "page.html"
+    done = command("tunenet-report", tmp_path / f"{log.stem}.json", "-o", out)
+    assert done.returncode == 0, done.stderr
+    for width in WIDTHS:
+        page = opened(browser, out, width)
+        assert page.text.startswith(log.name)
+
+
+INJECTED = (
+    "<script>alert(1)</script>",
+    '"><img src=http://127.0.0.1:9/x onerror=alert(2)>',
+    "{{ 7 * 7 }}{% raw %}",
+    "</style></title><svg onload=alert(3)>",
+    "javascript:alert(4)",
+    "$\\frac{1}{$ _x^ \\input{/etc/passwd}",
+    "]]>--><!--<iframe src='file:///etc/passwd'>",
+    "\u202egnp.exe\u0000\x1b[31m\ud800",
+    "&lt;b&gt;&#x3c;script&#x3e;",
+    "W" * 5000,
+)
+
+NOTHING_FOREIGN = (
+    "!document.querySelector('script, iframe, object, embed, svg, form, base, [onerror], [onload]')"
+    " && [...document.querySelectorAll('img, link')]"
+    ".every(one => (one.src || one.href).startsWith('data:'))"
+    " && [...document.querySelectorAll('a')].every(one => one.getAttribute('href')[0] == '#')"
+)
+
+
+def hostile(word: str) -> dict[str, Any]:
+    """A tuning whose every text is somebody else's word."""
+    fields = json.loads(to_json(drop_record(0.7, slope=(0.05, 0.01), slowest_m_s=2.0)))
+    check = {"name": word, "passed": False, "detail": word, "advice": word}
+    known = {"value": 1.0, "interval95": [0.5, 1.5], "unit": word}
+    told = dict.fromkeys(("version", "log_sha256", "date", "engine"), word)
+    heights = {"observed_m": [1.0, 0.0, 0.5], "simulated_m": [1.0, None, 0.5]}
+    return {
+        **fields,
+        **dict.fromkeys(("log", "reason", "ball", "topic", "method"), word),
+        "verdict": "suspect",
+        "warnings": [word, word],
+        "unidentifiable": [word],
+        "parameters": {**fields["parameters"], word: known},
+        "iterations": [{"k": 0, word: 0.0}, {"k": 1, word: 1.0}],
+        "checks": [check, check],
+        "cross_check": {"method": word, "value": 0.7, "agrees": False},
+        "simulator": {"engine": word, "preset": word, word: word},
+        "weights": {word: word},
+        "window": {"impact_s": 0.5, word: 1.0},
+        "seconds": {word: 1.0},
+        "provenance": {**told, "options": {word: word}, "tare": {word: word}},
+        "curves": {"start_ns": 0, "seconds": [0.0, 0.5, 1.0], **heights},
+    }
+
+
+def write(path: Path, fields: dict[str, Any]) -> Path:
+    path.write_text(json.dumps(fields))
+    return path
+
+
+@pytest.mark.parametrize("number", [1, 7])  # all of them: the next test
+def test_words_of_others_are_words(
+    tmp_path: Path,
+    browser: Any,
+    command: Command,
+    number: int,
+):
+    word = INJECTED[number]
+    path = write(tmp_path / "hostile.json", hostile(word))
+    out = tmp_path / "page.html"
+    done = command("tunenet-report", path, "-o", out, "--pdf", tmp_path / "figures")
+    assert done.returncode == 0, done.stderr
+    for width in WIDTHS:
+        page = opened(browser, out, width, NOTHING_FOREIGN)
+        if word.isprintable() and len(word) < 100:
+            assert word in page.text
+        assert "49" not in page.text.split("Parameters")[0]
+
+
+def test_hostile_tunings_beside_each_other(tmp_path: Path, browser: Any, command: Command):
+    """Twins with one name, and all of the names in one comparison."""
+    for number, word in enumerate([*INJECTED, INJECTED[0]]):
+        write(tmp_path / f"{number}.json", hostile(word))
+    out, compared = tmp_path / "page.html", tmp_path / "compared.html"
+    assert command("tunenet-report", tmp_path, "-o", out).returncode == 0
+    done = command("tunenet-compare", tmp_path, "--html", compared, "--png", tmp_path / "c.png")
+    assert done.returncode == 0, done.stderr
+    assert "\x1b" not in done.stdout
+    assert "\u202e" not in done.stdout
+    for path in (out, compared):
+        opened(browser, path, "phone", NOTHING_FOREIGN)
+
+
+@pytest.mark.parametrize("value", [1e308, -1e308, 5e-324])
+def test_numbers_that_no_tuning_has(tmp_path: Path, command: Command, value: float):
+    fields = json.loads(to_json(drop_record(0.7, slope=(0.05, 0.01), slowest_m_s=2.0)))
+    fields["parameters"]["restitution"] = {"value": value, "interval95": [-abs(value), abs(value)]}
+    fields["parameters"]["drag"] = {"value": value, "interval95": None, "unit": "1/m"}
+    fields["iterations"] = [{"k": 0, "restitution": -value}, {"k": 1, "restitution": value}]
+    fields["bounces"] = [
+        {"restitution": value, "interval95": None, "impact_speed": abs(value), "time_s": value}
+    ] * 3
+    first = write(tmp_path / "a.json", fields)
+    second = write(tmp_path / "b.json", {**fields, "log": "other"})
+    out = tmp_path / "page.html"
+    for words in (("tunenet-report", first, "-o", out), ("tunenet-compare", first, second)):
+        done = command(*words)
+        assert done.returncode in (0, 1)
+        assert "Traceback" not in done.stderr
+    assert out.stat().st_size < MAX_BYTES
+
+
+def test_very_many_rows_are_counted(tmp_path: Path, browser: Any, command: Command):
+    record = rejected_record(log="many.mcap")
+    fields = json.loads(to_json(record))
+    check = {"name": "c" * 900, "passed": False, "detail": "(" * 900, "advice": "a" * 900}
+    fields["checks"] = [check] * 1200
+    fields["warnings"] = [f"w{number}" for number in range(5000)]
+    out = tmp_path / "page.html"
+    path = write(tmp_path / "many.json", fields)
+    assert command("tunenet-report", path, "-o", out).returncode == 0
+    page = opened(browser, out, "phone")
+    assert "1100 more checks, 4900 more warnings" in page.text
+
+
+@pytest.mark.parametrize(
+    "spoil", ["empty", "noise", "half", "changed"], ids=lambda name: f"review-{name}"
+)
+def test_a_review_that_is_spoilt_leaves_a_page_without_pictures(
+    tmp_path: Path, tuned: Path, command: Command, spoil: str
+):
+    tuning, review = tmp_path / "filmed.json", tmp_path / "filmed.rrd"
+    tuning.write_bytes((tuned / "filmed.json").read_bytes())
+    whole = (tuned / "filmed.rrd").read_bytes()
+    middle = len(whole) // 3
+    review.write_bytes(
+        {
+            "empty": b"",
+            "noise": bytes(range(256)) * 40,
+            "half": whole[: len(whole) // 2],
+            "changed": whole[:middle] + bytes(5000) + whole[middle + 5000 :],
+        }[spoil]
+    )
+    out = tmp_path / "page.html"
+    done = command("tunenet-report", tuning, "-o", out)
+    assert done.returncode == 0, done.stderr
+    page = out.read_text()
+    assert "Observed and simulated" in page
+    if spoil != "changed":  # damage within a picture may leave the others
+        assert "No pictures of the film: filmed.rrd" in page

@@ -1,0 +1,429 @@
+"""Laws of every container of messages: the same episode, cut, damaged, hostile or packed."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import struct
+import tempfile
+import tracemalloc
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import NonSeekingReader
+from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as BagWriter
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from tests.conftest import Command, Made, real, record
+from tests.hostile import HEADER, MAGIC, chunk, described, message
+from tests.strangers import POSE, Stranger, write_poses, write_poses_bag, write_poses_folder
+from tunenet_logs.copying import recover
+from tunenet_logs.describe import describe
+from tunenet_logs.episode import Episode
+from tunenet_logs.errors import LogError, TuneNetError
+from tunenet_logs.formats import base as budget
+from tunenet_logs.formats.base import RawChannel, UnusableError
+from tunenet_logs.formats.decoders import listed_type
+from tunenet_logs.formats.ros import idl_types
+from tunenet_logs.messages import encode, pose, typestore
+from tunenet_logs.reader import read_episode
+
+TOPIC = "/vrpn/thing/pose"
+SAMPLES = Stranger(0.6, seconds=1.0, hold_s=0.2).samples()
+COUNT = len(SAMPLES[0])
+ZSTD = zstandard.ZstdCompressor().compress
+
+
+class Container(NamedTuple):
+    """What writes a log, the step at which it is cut, and how many of its messages may be lost."""
+
+    write: Callable[[Path], Any]
+    step: int
+    is_packed: bool = False
+
+
+def bag(compression: Any) -> Callable[[Path], Any]:
+    """Of many small chunks."""
+    return lambda path: write_poses_bag(path, *SAMPLES, TOPIC, compression, chunk_bytes=4000)
+
+
+def db3(mode: CompressionMode = CompressionMode.NONE) -> Callable[[Path], Any]:
+    def write(path: Path) -> None:
+        made = write_poses_folder(path.with_name(f"{path.name}.folder"), *SAMPLES, TOPIC, mode=mode)
+        made.rename(path)
+
+    return write
+
+
+def folder(storage: StoragePlugin, numbers: tuple[int, ...]) -> Callable[[Path], Any]:
+    return lambda path: split(path, storage, numbers)
+
+
+def split(
+    path: Path,
+    storage: StoragePlugin,
+    numbers: tuple[int, ...] = (9, 10, 11),
+    samples: Any = SAMPLES,
+) -> Path:
+    """A bag of ROS 2 in several files, the last written first."""
+    path.mkdir()
+    parts = np.array_split(np.arange(len(samples[0])), len(numbers))
+    for number, part in reversed(list(zip(numbers, parts, strict=True))):
+        whole = path.with_name(f"{path.name}_part{number}")
+        file = write_poses_folder(whole, samples[0][part], samples[1][part], TOPIC, storage)
+        file.rename(path / f"lab_drop_{number}{file.suffix}")
+    (path / "metadata.yaml").write_text("not: [believed")
+    return path
+
+
+FILES: dict[str, Container] = {
+    **{f"{one.name}.mcap": Container(
+        lambda path, one=one: write_poses(path, *SAMPLES, TOPIC, one, chunk_bytes=4000), 211)
+       for one in CompressionType},
+    "plain.bag": Container(bag(None), 211),
+    **{f"{one.name}.bag": Container(bag(one), 211) for one in BagWriter.CompressionFormat},
+    "a.db3": Container(db3(), 2048),
+    "messages.db3": Container(db3(CompressionMode.MESSAGE), 2048),
+}  # fmt: skip
+FOLDERS: dict[str, Callable[[Path], Any]] = {
+    **{f"{one.name} folder of {len(numbers)}": folder(one, numbers)
+       for one in StoragePlugin for numbers in ((0,), (9, 10, 11))},
+    "packed folder": lambda path: write_poses_folder(path, *SAMPLES, TOPIC,
+                                                     mode=CompressionMode.FILE),
+}  # fmt: skip
+PACK: dict[str, Callable[[bytes], bytes]] = {
+    ".zst": zstandard.compress, ".zstd": zstandard.compress, ".gz": gzip.compress,
+    ".bz2": bz2.compress, ".lz4": lz4.frame.compress,
+}  # fmt: skip
+
+
+def outcome(path: Path) -> tuple[int, tuple[str, ...]]:
+    """How many samples there are, and what is lost; of a log of which nothing can be read too."""
+    try:
+        episode = read_episode(path)
+    except LogError as error:
+        return 0, tuple(str(error).splitlines())
+    return count(episode), episode.losses
+
+
+def count(episode: Episode) -> int:
+    signal = episode.signals.get(TOPIC)
+    return 0 if signal is None else len(signal.values)
+
+
+@pytest.mark.parametrize("name", [*FILES, *FOLDERS])
+def test_every_container_gives_the_same_episode(tmp_path: Path, name: str):
+    (FILES[name].write if name in FILES else FOLDERS[name])(tmp_path / name)
+    episode = read_episode(tmp_path / name)
+    assert list(episode.signals) == [TOPIC]
+    assert np.array_equal(episode.signals[TOPIC].values, SAMPLES[1])
+    assert np.array_equal(episode.signals[TOPIC].stamps_ns, SAMPLES[0])
+    assert len(episode.channels) == 1
+    assert not episode.losses
+    assert [one for one in episode.warnings if "vouched" not in one] == []
+    assert episode.warnings or not name.endswith(".mcap")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_cut_anywhere_it_is_a_shorter_episode(tmp_path: Path, name: str):
+    path = tmp_path / name
+    FILES[name].write(path)
+    whole, lengths = path.read_bytes(), []
+    for cut in [*range(100, len(whole), FILES[name].step), len(whole) - 1]:
+        path.write_bytes(whole[:cut])
+        found, losses = outcome(path)
+        assert losses, cut
+        lengths.append(found)
+    assert lengths == sorted(lengths)
+    assert lengths[-1] > COUNT - 30
+    assert lengths[-1] == COUNT or name.endswith("db3")
+    assert len(set(lengths)) > 4
+
+
+def test_our_own_log_cut_anywhere_is_a_shorter_episode(small: Path, tmp_path: Path):
+    whole, truth = small.read_bytes(), read_episode(small).signals["/ball/pose"].values
+    lengths = []
+    for cut in range(8, len(whole), 7):
+        (tmp_path / "cut.mcap").write_bytes(whole[:cut])
+        try:
+            episode = read_episode(tmp_path / "cut.mcap")
+        except LogError:
+            continue
+        assert episode.losses, cut
+        ball = episode.signals.get("/ball/pose")
+        lengths.append(0 if ball is None else len(ball.values))
+        if ball is not None:
+            assert np.array_equal(ball.values, truth[: lengths[-1]])
+    assert lengths == sorted(lengths)
+    assert lengths[-1] == len(truth)
+
+
+@pytest.fixture
+def small(made: Made) -> Path:
+    return made("small.mcap", lambda path: record(path, restitution=0.5, height_m=0.5, seconds=0.5))
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_flipped_bit_is_never_silent(small: Path, tmp_path: Path, data: st.DataObject):
+    whole = bytearray(small.read_bytes())
+    whole[data.draw(st.integers(8, len(whole) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    (tmp_path / "flipped.mcap").write_bytes(bytes(whole))
+    truth = read_episode(small)
+    try:
+        episode = read_episode(tmp_path / "flipped.mcap")
+    except TuneNetError:
+        return
+    same = set(episode.signals) == set(truth.signals) and all(
+        np.array_equal(signal.values, truth.signals[name].values)
+        and np.array_equal(signal.stamps_ns, truth.signals[name].stamps_ns)
+        for name, signal in episode.signals.items()
+    )
+    assert same or episode.losses
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if not name.endswith(".mcap")])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    changes=st.lists(st.tuples(st.integers(13, 2**31), st.integers(1, 255)), min_size=1),
+    is_early=st.booleans(),
+)
+def test_changed_bytes_give_only_our_errors(
+    made: Made, tmp_path: Path, name: str, changes, is_early
+):
+    whole = bytearray(made(f"law {name}", FILES[name].write).read_bytes())
+    for place, bits in changes:
+        whole[13 + place % (min(20_000 if is_early else len(whole), len(whole)) - 13)] ^= bits
+    path = tmp_path / f"changed{name[-4:]}"
+    path.write_bytes(bytes(whole))
+    with suppress(TuneNetError):
+        read_episode(path)
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.binary(max_size=400), st.sampled_from([MAGIC, b"#ROSBAG V2.0\n", b"SQLite format 3\0"]))
+def test_any_bytes_give_only_our_errors(tmp_path: Path, tail: bytes, head: bytes):
+    (tmp_path / "fuzz").write_bytes(head + tail)
+    with suppress(TuneNetError):
+        read_episode(tmp_path / "fuzz")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.mcap", b"", "is empty"),
+        ("a.mcap", b"hello, world", "is not an MCAP log"),
+        ("a.mcap", b"\x89MCAP0\r", "not an MCAP"),
+        ("a.mcap", MAGIC + struct.pack("<BQ", 5, 2**62) + b"x" * 50, "end of the file"),
+        ("a.mcap", None, "no such file"),
+        (".", None, "is a directory"),
+        ("a.gz", gzip.compress(b""), "nothing"),
+        ("a.gz", gzip.compress(b"%PDF-1.4 hello"), "PDF"),
+        ("a.gz", gzip.compress(bytes(257) + b"ustar\0" * 99), "tar archive"),
+    ],
+)  # fmt: skip
+def test_what_is_no_log_is_refused(tmp_path: Path, name: str, content: bytes | None, says: str):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(LogError, match=says) as caught:
+        read_episode(tmp_path / name)
+    assert str(tmp_path / name) in str(caught.value)
+    assert "unpacking" not in str(caught.value)
+
+
+@pytest.mark.parametrize("stated", [1000, 4 * 2**30, 2**62])
+def test_a_decompression_bomb_stays_small(tmp_path: Path, stated: int):
+    bomb = zstandard.ZstdCompressor(level=3).compress(bytes(512 * 2**20))
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(MAGIC + HEADER + chunk(b"zstd", stated, bomb))
+    tracemalloc.start()
+    with pytest.raises(LogError, match="chunk"):
+        read_episode(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 64 * 2**20
+
+
+def test_log_times_stand_in_for_stamps_that_are_not_set_or_beyond_all_time(tmp_path: Path):
+    path = tmp_path / "a.mcap"
+    write_poses(path, *SAMPLES, set_header=False)
+    assert np.array_equal(read_episode(path).signals[TOPIC].stamps_ns, SAMPLES[0])
+    far = [int(stamp) for stamp in SAMPLES[0]]
+    far[5] = 2**63 + 7
+    write_poses(path, far, SAMPLES[1], set_header=False)
+    assert len(read_episode(path).signals[TOPIC].values) == COUNT - 1
+    assert any("1 damaged" in warning for warning in read_episode(path).warnings)
+
+
+def test_channels_that_cannot_be_used_say_why(tmp_path: Path):
+    told = [
+        ("/cbor", "cbor", "Pose", "jsonschema", b"{}"),
+        ("/not the usual", "cdr", POSE, "ros2msg", b"float64 x"),
+        ("/damaged", "cdr", POSE, "ros2msg", b"\xff\xfe not a definition ][ "),
+        ("/protobuf", "cdr", POSE, "protobuf", b""),
+    ]
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for topic, encoding, kind, form, text in told:
+            schema = writer.register_schema(kind, form, text)
+            channel = writer.register_channel(topic, encoding, schema)
+            writer.add_message(channel, 1, b"\x00\x01\x00\x00", 1)
+        writer.finish()
+    episode = read_episode(tmp_path / "a.mcap")
+    assert not episode.signals
+    assert len(episode.channels) == len(told)
+    assert all(one.topic[1:] in (one.skipped or "") for one in episode.channels)
+
+
+def test_a_chunk_damaged_behind_its_channel_does_not_hide_the_next(tmp_path: Path):
+    """Found by fuzzing: the channel was taken for known though nobody had been told of it."""
+    said = described(1) + message(0, b"x")
+    damaged = said + struct.pack("<BQ", 5, 2**40)
+    chunks = (chunk(b"", len(one), one) for one in (damaged, said))
+    (tmp_path / "a.mcap").write_bytes(MAGIC + HEADER + b"".join(chunks))
+    episode = read_episode(tmp_path / "a.mcap")
+    assert any("damaged chunk" in one for one in episode.losses)
+    assert [(one.topic, one.messages) for one in episode.channels] == [("/ch0", 1)]
+
+
+@pytest.mark.parametrize("folder", ["mcap_rosbag2", "mcap_conformance"])
+def test_the_counts_of_others_files_are_those_of_the_library(folder: str):
+    for path in sorted(real(folder).glob("*.mcap")):
+        with path.open("rb") as file:
+            found = NonSeekingReader(file).iter_messages(log_time_order=False)
+            theirs = Counter(channel.topic for _, channel, _ in found)
+        episode, ours = read_episode(path), Counter[str]()
+        for channel in episode.channels:
+            ours[channel.topic] += channel.messages
+            assert channel.skipped or channel.topic in episode.signals or not channel.messages
+        assert +ours == theirs, path.name
+
+
+# Files that were packed as a whole.
+@pytest.fixture
+def folder_for_unpacking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Nothing that was unpacked stays, whatever happens."""
+    folder = tmp_path / "unpacking"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield
+    assert not list(folder.iterdir())
+
+
+@pytest.mark.usefixtures("folder_for_unpacking")
+@pytest.mark.parametrize("suffix", PACK)
+def test_a_packed_file_is_the_file(small: Path, tmp_path: Path, suffix: str, command: Command):
+    data, plain = small.read_bytes(), read_episode(small)
+    packed = tmp_path / f"a.mcap{suffix}"
+    for parts in ((data,), (data[:5000], data[5000:])):  # in one stream, and in several
+        packed.write_bytes(b"".join(map(PACK[suffix], parts)))
+        episode = read_episode(packed)
+        assert list(episode.signals) == list(plain.signals)
+        for name, signal in plain.signals.items():
+            assert np.array_equal(episode.signals[name].values, signal.values)
+        assert episode.info == plain.info
+        assert not episode.losses
+    rows = "".join(f"{at / 100},{1.5 - at / 1000}\n" for at in range(50))
+    table = tmp_path / f"drop.csv{suffix}"
+    table.write_bytes(PACK[suffix](f"t,height_m\n{rows}".encode()))
+    assert len(next(iter(read_episode(table).signals.values())).values) == 50
+    for words in (("info",), ("check",), ("import", "-o", tmp_path / "c.mcap", "--overwrite")):
+        assert command("tunenet-logs", *words, packed).returncode == 0
+
+
+@pytest.mark.usefixtures("folder_for_unpacking")
+def test_what_precedes_the_end_of_a_packed_file_is_read_and_recovered(tmp_path: Path, small: Path):
+    log = record(tmp_path / "long.mcap", seed=1, seconds=10.0)
+    data = gzip.compress(log.read_bytes())
+    packed = tmp_path / "a.mcap.gz"
+    packed.write_bytes(data[: 2 * len(data) // 3])
+    episode = read_episode(packed)
+    (signal,) = episode.signals.values()
+    assert 100 < len(signal.stamps_ns) < len(next(iter(read_episode(log).signals.values())).values)
+    assert "gzip data is cut" in episode.losses[0]
+    assert recover(packed, tmp_path / "saved.mcap").messages == len(signal.stamps_ns)
+    damaged = bytearray(bz2.compress(small.read_bytes() * 60, 1))
+    damaged[-len(damaged) // 3] ^= 0xFF
+    (tmp_path / "a.mcap.bz2").write_bytes(damaged)
+    assert any("damaged" in loss for loss in read_episode(tmp_path / "a.mcap.bz2").losses)
+
+
+@pytest.mark.usefixtures("folder_for_unpacking")
+def test_a_packed_bomb_is_refused_and_shares_its_budget(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    data, packed = small.read_bytes(), tmp_path / "bomb.mcap.zst"
+    monkeypatch.setattr(budget, "_FREE_BYTES", 10_000_000)
+    packer = zstandard.ZstdCompressor().compressobj()
+    zeros = [packer.compress(bytes(1_000_000)) for _ in range(30)]
+    packed.write_bytes(b"".join([packer.compress(data), *zeros, packer.flush()]))
+    with pytest.raises(LogError, match="256 times its size"):
+        read_episode(packed)
+    packed.write_bytes(zstandard.compress(data))
+    monkeypatch.setattr(budget, "_FREE_BYTES", len(data) + 500)
+    monkeypatch.setattr(budget, "_MAX_RATIO", 0)
+    assert read_episode(packed).losses  # the file itself fits, its chunks do not
+
+
+def test_a_folder_of_packed_files_is_one_recording():
+    episode = read_episode(real("labs/rosbag2_zstd/file_compression"))
+    assert sum(channel.messages for channel in episode.channels) == 775
+    assert not episode.losses
+
+
+# Logs with thousands of channels, or names of hundreds of characters.
+TEXT = typestore().generate_msgdef(POSE, ros_version=2)[0].encode()
+
+
+def described_channels(path: Path, used: int, unused: int) -> tuple[list[str], list[str]]:
+    """What is said of channels of poses behind others that nothing uses; their topics."""
+    data = encode(pose(0, "map", np.zeros(3)), POSE)
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        other = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        ours = writer.register_schema(POSE, "ros2msg", TEXT)
+        for number in range(unused + used):
+            schema = other if number < unused else ours
+            channel = writer.register_channel(f"/ch{number}", "cdr", schema)
+            for stamp in (1, 2):
+                writer.add_message(channel, stamp, data, stamp)
+        writer.finish()
+    lines = describe(path, read_episode(path)).splitlines()
+    return lines, [one.split()[0] for one in lines if one.startswith("  /ch") and "|" not in one]
+
+
+def test_of_thousands_of_channels_those_that_can_be_used_are_shown(tmp_path: Path):
+    lines, topics = described_channels(tmp_path / "a.mcap", used=30, unused=1000)
+    assert "  and 930 more channels" in lines
+    assert topics == [f"/ch{one}" for one in (*range(1000, 1030), *range(70))]
+    assert len(lines) < 300
+    lines, topics = described_channels(tmp_path / "b.mcap", used=50, unused=50)
+    assert topics == [f"/ch{one}" for one in range(100)]  # in their order
+    assert not any("more channels" in line for line in lines)
+    long = "/begin" + "/long" * 60 + "/end"
+    write_poses(tmp_path / "c.mcap", *SAMPLES, topic=long)
+    lines = describe(tmp_path / "c.mcap", read_episode(tmp_path / "c.mcap")).splitlines()
+    named = [line for line in lines if line.startswith("  /begin")]
+    assert len(named) == 2  # in the table and on the timeline
+    assert all("…" in line and "/end " in line for line in named)
+    assert max(map(len, lines[1:])) < 160
+
+
+def test_a_definition_that_is_far_too_large_or_never_ends_is_not_parsed():
+    with pytest.raises(UnusableError, match="large"):
+        listed_type(RawChannel("/ch", POSE, "cdr", "ros2msg", TEXT + b"# more\n" * 100_000))
+    with pytest.raises(Exception, match=r"."):  # as the parser of IDL says
+        idl_types("struct position {\n" + '"\\' * 30_000)
