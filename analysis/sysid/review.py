@@ -314,23 +314,6 @@ def log_shapes(
         stream.log(f"{entity}/{kind}", drawn, static=True)
 
 
-def _log_mesh(
-    stream: rr.RecordingStream, entity: str, shape: Shape, rgba: tuple[int, int, int, int]
-) -> None:
-    assert shape.vertices_m is not None
-    assert shape.triangles is not None
-    # Each triangle has its own corners, so that its side is flat and shaded by one normal.
-    corners = shape.vertices_m[shape.triangles] @ shape.rotation.T + shape.position_m
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    mesh = rr.Mesh3D(
-        vertex_positions=corners.reshape(-1, 3).astype(np.float32),
-        vertex_normals=np.repeat(normals, 3, axis=0).astype(np.float32),
-        albedo_factor=rgba,
-    )
-    stream.log(entity, mesh, static=True)
-
-
 # ---- 3D scene of the model as observed, and as simulated after tuning
 
 

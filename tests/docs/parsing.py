@@ -16,8 +16,6 @@ from subprocess import CompletedProcess
 
 from tests.wheel import ROOT
 
-USAGE = 2  # the exit code of a command that refuses its arguments
-
 
 class ParsedError(BaseException):
     """Ends a command when its parser has taken the words; it holds the parser."""

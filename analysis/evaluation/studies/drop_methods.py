@@ -542,14 +542,6 @@ def problems_in(contact: ContactSettings) -> DropProblems:
     return DropProblems(contact)
 
 
-def estimate_batches(
-    batches: Sequence[TargetBatch], jobs: int | None, progress: Progress
-) -> list[Array]:
-    """Run `errors_of` on every batch, in order, in `jobs` processes (default: all cores)."""
-    pieces = [Piece(batch, len(batch.targets), batch.method.name) for batch in batches]
-    return parallel_map(errors_of, pieces, jobs, progress, ("estimating", "target"))
-
-
 # ---- Published figures: table 2 of Allevato et al. 2019 (table 3 stands in `motion.ROWS`).
 
 PUBLISHED_ROLLOUTS = (1, 5, 10, 100)  # the columns of table 2, K
