@@ -44,15 +44,9 @@ def write_clip(
     """Write sound, of `channels` that are the same, beside a film where a codec for it is named.
 
     Args:
-        path: of the file.
         samples: full scale 1, shape (N,).
-        codec: of the sound.
-        rate_hz: of the samples.
-        channels: 1 or 2.
         late_s: from the first picture to the first sample [s].
         film: codec of the pictures; "" for none.
-        pictures: how many there are.
-        tags: of the file.
         form: the container, where the file's name does not tell it.
     """
     with av.open(str(path), "w", format=form) as file:
@@ -82,7 +76,6 @@ def write_clip(
 def found_late_s(
     samples: NDArray[np.float32], expected: NDArray[np.float32], rate_hz: float
 ) -> float:
-    """By how much a sound is later than another, by their greatest correlation [s]."""
     from scipy.signal import correlate
 
     both = correlate(samples.astype(float), expected.astype(float), method="fft")

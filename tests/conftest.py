@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,6 +20,7 @@ import pytest
 from hypothesis import settings
 
 from tests.wheel import install_wheel
+from tunenet_logs import commands
 from tunenet_logs.analysis.batch.logs import find_logs
 from tunenet_logs.analysis.batch.run import Order, Result, Writing, run_batch
 from tunenet_logs.analysis.experiment import Tuning
@@ -60,19 +62,9 @@ settings.register_profile("suite", max_examples=50, deadline=None, derandomize=T
 settings.register_profile("thorough", max_examples=500, deadline=None)
 settings.load_profile("suite")
 
-_MODULES = {
-    "tunenet-logs": "tunenet_logs.cli",
-    "tunenet-record": "tunenet_logs.recorders.cli",
-    "tunenet-tune": "tunenet_logs.analysis.cli.tune",
-    "tunenet-review": "tunenet_logs.analysis.cli.review",
-    "tunenet-train": "tunenet_logs.analysis.cli.train",
-    "tunenet-plan": "tunenet_logs.analysis.cli.plan",
-    "tunenet-eval": "tunenet_logs.analysis.evaluation.cli",
-    "tunenet-export": "tunenet_logs.analysis.cli.export",
-    "tunenet-compare": "tunenet_logs.analysis.cli.compare",
-    "tunenet-report": "tunenet_logs.analysis.cli.report",
-}
-COMMANDS = tuple(_MODULES)
+# By a command's name, the module of its `main`.
+MODULES = dict(one.args for one in vars(commands).values() if isinstance(one, partial))
+COMMANDS = tuple(MODULES)
 
 
 @pytest.fixture(scope="session")
@@ -84,7 +76,7 @@ def command() -> Command:
         out, err = io.StringIO(), io.StringIO()
         with chdir(cwd or Path.cwd()), redirect_stdout(out), redirect_stderr(err):
             try:
-                code = import_module(_MODULES[name]).main(words)
+                code = import_module(MODULES[name]).main(words)
             except SystemExit as stop:  # --help and --version
                 code = int(stop.code or 0)
         return subprocess.CompletedProcess([name, *words], code, out.getvalue(), err.getvalue())

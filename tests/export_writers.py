@@ -48,9 +48,8 @@ def write_motive(
 
     Rows above the columns have no labels before version 1.22, a parent from 1.25 on.
     """
-    names = {"m": "Meters", "cm": "Centimeters", "mm": "Millimeters", "in": "Inches", "ft": "Feet"}
+    named = {"m": "Meters", "cm": "Centimeters", "mm": "Millimeters", "in": "Inches", "ft": "Feet"}
     times = np.asarray(seconds, np.float64)
-    frames = np.round((times - times[0]) * rate_hz).astype(int)
     above: list[tuple[str, str, str, str, str]] = []
     values: list[NDArray[np.float64]] = []
     for name, xyz in tracks.items():
@@ -65,38 +64,30 @@ def write_motive(
         parent = name.partition(":")[0] if ":" in name else ""
         above += [("Marker", name, parent, "Position", axis) for axis in "XYZ"]
         values.append(oriented(xyz, up, unit))
-    kinds, bodies, parents, quantities, axes = zip(*above, strict=True)
-    ids = [f'"{100 + bodies.index(name):X}"' for name in bodies]
+    kinds, bodies, parents, quantities, axes = (",".join(row) for row in zip(*above, strict=True))
+    names = [name for _, name, *_ in above]
+    ids = ",".join(f'"{100 + names.index(name):X}"' for name in names)
     has_labels = tuple(map(int, version.split("."))) >= (1, 22)
     labels = ("Type", "Name", "ID", "Parent") if has_labels else ("", "", "", "")
-    rows = [
-        ["", labels[0], *kinds],
-        ["", labels[1], *bodies],
-        ["", labels[2], *ids],
-        *([["", labels[3], *parents]] if version == "1.25" else []),
-        ["", "", *quantities],
-        ["Frame", "Time (Seconds)" if has_labels else "Time", *axes],
-    ]
-    said = {
-        "Format Version": version,
-        "Take Name": "Take 2026-01-05 03.49.50 PM",
-        "Capture Frame Rate": f"{rate_hz:.6f}",
-        "Export Frame Rate": f"{rate_hz:.6f}",
-        "Capture Start Time": "2026-01-05 03.49.50.755 PM",
-        "Total Frames in Take": str(len(times)),
-        "Total Exported Frames": str(len(times)),
-        "Rotation Type": "Quaternion",
-        "Length Units": names[unit],
-        "Coordinate Space": "Global",
-    }
-    lines = [",".join(f"{key},{value}" for key, value in said.items()), ""]
-    lines += [",".join(row) for row in rows]
-    table = np.hstack(values)
-    lines += [
-        ",".join([str(frame), f"{time:.6f}", *_cells(row, 6)])
-        for frame, time, row in zip(frames, times, table, strict=True)
-    ]
-    path.write_text("\n".join(lines) + "\n")
+    family = f",{labels[3]},{parents}\n" if version == "1.25" else ""
+    rows = "".join(
+        ",".join([str(frame), f"{time:.6f}", *_cells(row, 6)]) + "\n"
+        for frame, time, row in zip(
+            np.round((times - times[0]) * rate_hz).astype(int),
+            times,
+            np.hstack(values),
+            strict=True,
+        )
+    )
+    path.write_text(
+        f"Format Version,{version},Take Name,Take 2026-01-05 03.49.50 PM,"
+        f"Capture Frame Rate,{rate_hz:.6f},Export Frame Rate,{rate_hz:.6f},"
+        f"Capture Start Time,2026-01-05 03.49.50.755 PM,Total Frames in Take,{len(times)},"
+        f"Total Exported Frames,{len(times)},Rotation Type,Quaternion,"
+        f"Length Units,{named[unit]},Coordinate Space,Global\n\n"
+        f",{labels[0]},{kinds}\n,{labels[1]},{bodies}\n,{labels[2]},{ids}\n{family},,{quantities}\n"
+        f"Frame,{'Time (Seconds)' if has_labels else 'Time'},{axes}\n{rows}"
+    )
 
 
 def write_nexus(
@@ -115,23 +106,20 @@ def write_nexus(
     Nexus counts frames from 1 and writes no time, so a track that begins later begins at a later
     frame.
     """
-    times = np.asarray(seconds, np.float64)
-    frames = np.round(times * rate_hz).astype(int) + 1
-    values = [oriented(xyz, up, unit) for xyz in tracks.values()]
-    lines: list[str] = []
+    frames = np.round(np.asarray(seconds, np.float64) * rate_hz).astype(int) + 1
+    text = ""
     if devices:
-        names = ["Force.Fx", "Force.Fy", "Force.Fz"]
-        lines += ["Devices", f"{10 * rate_hz:g}", ",,Force plate - Force,,"]
-        lines += [",".join(["Frame", "Sub Frame", *names]), ",,N,N,N"]
-        lines += [f"{frame},{sub},0.1,-0.2,9.8" for frame in frames[:3] for sub in range(10)]
-        lines += [""]
-    named = [f"{subject}:{name}" if subject else name for name in tracks]
-    lines += ["Trajectories", f"{rate_hz:g}"]
-    lines += [",," + ",,,".join(named) + ",,"]
-    lines += ["Frame,Sub Frame" + ",X,Y,Z" * len(named), "," + f",{unit}" * 3 * len(named)]
-    for frame, row in zip(frames, np.hstack(values), strict=True):
-        lines.append(",".join([str(frame), "0", *_cells(row, 6, significant=True)]))
-    path.write_text("\n".join(lines) + "\n")
+        text += f"Devices\n{10 * rate_hz:g}\n,,Force plate - Force,,\n"
+        text += "Frame,Sub Frame,Force.Fx,Force.Fy,Force.Fz\n,,N,N,N\n"
+        text += "".join(f"{n},{sub},0.1,-0.2,9.8\n" for n in frames[:3] for sub in range(10)) + "\n"
+    names = ",,,".join(f"{subject}:{name}" if subject else name for name in tracks)
+    count = len(tracks)
+    text += f"Trajectories\n{rate_hz:g}\n,,{names},,\n"
+    text += f"Frame,Sub Frame{',X,Y,Z' * count}\n,{f',{unit}' * 3 * count}\n"
+    table = np.hstack([oriented(xyz, up, unit) for xyz in tracks.values()])
+    for frame, row in zip(frames, table, strict=True):
+        text += ",".join([str(frame), "0", *_cells(row, 6, significant=True)]) + "\n"
+    path.write_text(text)
 
 
 def write_qualisys(
@@ -150,34 +138,24 @@ def write_qualisys(
 
     `unseen` is how a coordinate is written that was not seen: "", "0.000" or "NULL".
     """
-    times = np.asarray(seconds, np.float64)
-    kind = "BODIES" if bodies else "MARKERS"
-    names = list(tracks)
-    lines = [
-        f"NO_OF_FRAMES\t{len(times)}",
-        "NO_OF_CAMERAS\t8",
-        f"NO_OF_{kind}\t{len(names)}",
-        f"FREQUENCY\t{rate_hz:g}",
-        "NO_OF_ANALOG\t0",
-        "ANALOG_FREQUENCY\t0",
-        "DESCRIPTION\t--",
-        "TIME_STAMP\t2026-01-22, 17:47:17.123\t22107.99179716",
-        f"DATA_INCLUDED\t{'6D' if bodies else '3D'}",
-        "EVENT\tRelease\t12\t0.11000",
-        ("BODY_NAMES\t" if bodies else "MARKER_NAMES\t") + "\t".join(names) + "\t",
-    ]
+    times, names = np.asarray(seconds, np.float64), list(tracks)
+    kind, one = ("BODIES", "BODY") if bodies else ("MARKERS", "MARKER")
+    text = (
+        f"NO_OF_FRAMES\t{len(times)}\nNO_OF_CAMERAS\t8\nNO_OF_{kind}\t{len(names)}\n"
+        f"FREQUENCY\t{rate_hz:g}\nNO_OF_ANALOG\t0\nANALOG_FREQUENCY\t0\nDESCRIPTION\t--\n"
+        "TIME_STAMP\t2026-01-22, 17:47:17.123\t22107.99179716\n"
+        f"DATA_INCLUDED\t{'6D' if bodies else '3D'}\nEVENT\tRelease\t12\t0.11000\n"
+        f"{one}_NAMES\t" + "".join(f"{name}\t" for name in names) + "\n"
+    )
     if not bodies:
-        lines.append("TRAJECTORY_TYPES" + "\tMeasured" * len(names) + "\t")
+        text += "TRAJECTORY_TYPES" + "\tMeasured" * len(names) + "\t\n"
     rest = ["Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{at}]" for at in range(9))]
     if has_columns:
-        columns = [
-            cell
-            for name in names
-            for cell in (
-                [f"{name} X", "Y", "Z", *rest] if bodies else [f"{name} {axis}" for axis in "XYZ"]
-            )
-        ]
-        lines.append("\t".join(["Frame", "Time", *columns]) + "\t")
+        text += "Frame\tTime\t"
+        for name in names:
+            columns = ["X", "Y", "Z", *rest] if bodies else ["X", f"{name} Y", f"{name} Z"]
+            text += f"{name} " + "".join(f"{column}\t" for column in columns)
+        text += "\n"
     turn = [0.0, 0.0, 0.0, 0.5, *np.eye(3).ravel()]
     values = [oriented(xyz, up, unit) for xyz in tracks.values()]
     for at, time in enumerate(times):
@@ -186,8 +164,8 @@ def write_qualisys(
             row = [*xyz[at], *(turn if bodies else [])]
             is_seen = np.isfinite(xyz[at]).all()
             cells += _cells(row, 3) if is_seen else [unseen] * len(row)
-        lines.append("\t".join(cells) + "\t")
-    path.write_text("\r\n".join(lines) + "\r\n")
+        text += "\t".join(cells) + "\t\n"
+    path.write_text(text.replace("\n", "\r\n"))
 
 
 def write_trc(
@@ -201,23 +179,20 @@ def write_trc(
     separator: str = "\t",
 ) -> None:
     """TRC, with tabs or commas; `unit` is named in it."""
-    times = np.asarray(seconds, np.float64)
-    names = list(tracks)
-    keys = "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame"
-    said = [f"{rate_hz:.2f}", f"{rate_hz:.2f}", len(times), len(names), unit, f"{rate_hz:.2f}", 1]
-    axes = [f"{axis}{number + 1}" for number in range(len(names)) for axis in "XYZ"]
-    rows = [
-        ["PathFileType", "4", "(X/Y/Z)", path.name],
-        [*keys.split(), "OrigNumFrames"],
-        [*map(str, said), str(len(times))],
-        ["Frame#", "Time", *(cell for name in names for cell in (name, "", ""))],
-        ["", "", *axes],
-    ]
-    lines = [separator.join(row) for row in rows] + [""]
+    times, count = np.asarray(seconds, np.float64), len(tracks)
+    text = (
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}\nDataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\t"
+        f"OrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n{rate_hz:.2f}\t{rate_hz:.2f}\t{len(times)}\t"
+        f"{count}\t{unit}\t{rate_hz:.2f}\t1\t{len(times)}\nFrame#\tTime"
+        + "".join(f"\t{name}\t\t" for name in tracks)
+        + "\n\t"
+        + "".join(f"\tX{n}\tY{n}\tZ{n}" for n in range(1, count + 1))
+        + "\n\n"
+    )
     table = np.hstack([oriented(xyz, up, unit) for xyz in tracks.values()])
     for at, (time, row) in enumerate(zip(times, table, strict=True)):
-        lines.append(separator.join([str(at + 1), f"{time:.6f}", *_cells(row, 6)]))
-    path.write_text("\n".join(lines) + "\n")
+        text += "\t".join([str(at + 1), f"{time:.6f}", *_cells(row, 6)]) + "\n"
+    path.write_text(text.replace("\t", separator))
 
 
 def write_c3d(
@@ -236,52 +211,9 @@ def write_c3d(
 
     Whole numbers are of a tenth of a millimetre; `analogs` are channels sampled once a frame.
     """
-    scale = -1.0 if is_float else 1e-4 / UNITS_M[unit]
-    points = {name: oriented(xyz, up, unit) for name, xyz in tracks.items()}
-    first = round(float(np.asarray(seconds, np.float64)[0]) * rate_hz) + 1
-    path.write_bytes(
-        _c3d_bytes(points, first, rate_hz, unit, processor=processor, scale=scale, analogs=analogs)
-    )
-
-
-# By layout: `(path, seconds, tracks, *, rate_hz, unit, up)`, all but the rate as it is usual.
-WRITERS: dict[str, Callable[..., None]] = {
-    "motive": write_motive,
-    "nexus": write_nexus,
-    "qualisys": write_qualisys,
-    "trc": write_trc,
-    "c3d": write_c3d,
-}
-
-# Of files by layout.
-SUFFIXES = {"motive": ".csv", "nexus": ".csv", "qualisys": ".tsv", "trc": ".trc", "c3d": ".c3d"}
-
-
-def _cells(row: Sequence[float] | NDArray[np.float64], digits: int, *, significant=False):
-    form = f".{digits}{'g' if significant else 'f'}"
-    return [f"{value:{form}}" if np.isfinite(value) else "" for value in row]
-
-
-# C3D, after its user guide: https://www.c3d.org/docs/C3D_User_Guide.pdf.
-_C3D_KINDS = {"intel": 84, "dec": 85, "mips": 86}
-
-
-def _c3d_bytes(
-    points: Mapping[str, NDArray[np.float64]],
-    first_frame: int,
-    rate_hz: float,
-    unit: str,
-    *,
-    processor: str = "intel",
-    scale: float = -1.0,
-    analogs: int = 0,
-) -> bytes:
-    """A whole file of points by name, in `unit`, NaN where unseen, shape (T, 3) each.
-
-    `scale` is of units for each step of whole numbers; negative for floating data.
-    """
-    names = list(points)
-    frames = len(next(iter(points.values())))
+    names, frames = list(tracks), len(np.asarray(seconds))
+    first_frame = round(float(np.asarray(seconds, np.float64)[0]) * rate_hz) + 1
+    scale = -1.0 if is_float else 1e-4 / UNITS_M[unit]  # of units for each step of whole numbers
     order = ">" if processor == "mips" else "<"
     groups: dict[str, dict[str, bytes]] = {
         "POINT": {
@@ -315,7 +247,8 @@ def _c3d_bytes(
     header += struct.pack(f"{order}2H", 2 + blocks, bool(analogs))
     header += _floats(processor, np.array([rate_hz]))
     rows = np.zeros((frames, 4 * len(names) + analogs))
-    for at, xyz in enumerate(points.values()):
+    for at, track in enumerate(tracks.values()):
+        xyz = oriented(track, up, unit)
         is_seen = np.isfinite(xyz[:, :1])
         rows[:, 4 * at : 4 * at + 3] = np.where(is_seen, xyz, 0) / (scale if scale > 0 else 1)
         rows[:, 4 * at + 3] = np.where(is_seen[:, 0], 0, -1)
@@ -325,7 +258,29 @@ def _c3d_bytes(
         else _floats(processor, rows.ravel())
     )
     whole = header.ljust(512, b"\0") + section.ljust(512 * blocks, b"\0") + data
-    return whole + bytes(-len(whole) % 512)
+    path.write_bytes(whole + bytes(-len(whole) % 512))
+
+
+# By layout: `(path, seconds, tracks, *, rate_hz, unit, up)`, all but the rate as it is usual.
+WRITERS: dict[str, Callable[..., None]] = {
+    "motive": write_motive,
+    "nexus": write_nexus,
+    "qualisys": write_qualisys,
+    "trc": write_trc,
+    "c3d": write_c3d,
+}
+
+# Of files by layout.
+SUFFIXES = {"motive": ".csv", "nexus": ".csv", "qualisys": ".tsv", "trc": ".trc", "c3d": ".c3d"}
+
+
+def _cells(row: Sequence[float] | NDArray[np.float64], digits: int, *, significant=False):
+    form = f".{digits}{'g' if significant else 'f'}"
+    return [f"{value:{form}}" if np.isfinite(value) else "" for value in row]
+
+
+# C3D, after its user guide: https://www.c3d.org/docs/C3D_User_Guide.pdf.
+_C3D_KINDS = {"intel": 84, "dec": 85, "mips": 86}
 
 
 def _record(order: str, name: str, group: int, body: bytes) -> bytes:

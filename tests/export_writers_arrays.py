@@ -6,14 +6,15 @@ NaN where not seen, shape (T, 3), and the unit of the file. What was not seen is
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.export_writers import UNITS_M
+from tests.library_writers import ARRAYS
 
 Floats = NDArray[np.float64]
 
@@ -42,47 +43,25 @@ def vernier(path: Path, seconds: Floats, xyz: Floats, unit: str = "m") -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
-def parquet(path: Path, seconds: Floats, xyz: Floats, unit: str = "m") -> None:
-    """Columns of doubles with their unit in the name; "timestamp" in seconds."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    times, places = _seen(seconds, xyz, unit)
-    columns = {f"{name}_{unit}": places[:, at] for at, name in enumerate("xyz")}
-    pq.write_table(pa.table({"timestamp": times, **columns}), path)
-
-
-def numpy_archive(path: Path, seconds: Floats, xyz: Floats, unit: str = "") -> None:
-    """Arrays `t` and `position`; nothing says the unit."""
+def _arrays(kind: str, path: Path, seconds: Floats, xyz: Floats, unit: str = "") -> None:
+    """Arrays by their names, of which those in Parquet say the unit."""
     times, places = _seen(seconds, xyz, unit or "m")
-    np.savez(path, t=times, position=places)
-
-
-def matlab(path: Path, seconds: Floats, xyz: Floats, unit: str = "") -> None:
-    """Columns `t`, `x`, `y`, `z` in a workspace; nothing says the unit."""
-    from scipy.io import savemat
-
-    times, places = _seen(seconds, xyz, unit or "m")
-    columns = {name: places[:, at : at + 1] for at, name in enumerate("xyz")}
-    savemat(path, {"t": times[:, None], **columns})
-
-
-def json_lines(path: Path, seconds: Floats, xyz: Floats, unit: str = "") -> None:
-    """A record a line, places in an object; nothing says the unit."""
-    times, places = _seen(seconds, xyz, unit or "m")
-    lines = [
-        json.dumps({"t": float(time), "position": dict(zip("xyz", map(float, place), strict=True))})
-        for time, place in zip(times, places, strict=True)
-    ]
-    path.write_text("\n".join(lines) + "\n")
+    axes = dict(zip("xyz", places.T, strict=True))
+    named = {
+        "a.parquet": {f"{name}_{unit or 'm'}": one for name, one in axes.items()},
+        "a.npz": {"position": places},
+        "a.mat": {name: one[:, None] for name, one in axes.items()},
+        "a.jsonl": {"position": [dict(zip("xyz", one, strict=True)) for one in places.tolist()]},
+    }[kind]
+    is_table, is_column = kind == "a.parquet", kind == "a.mat"
+    clock = {"timestamp" if is_table else "t": times[:, None] if is_column else times}
+    ARRAYS[kind](path, {**clock, **named})
 
 
 # By the name of the file that each of them writes.
 WRITERS: dict[str, Callable[..., None]] = {
     "pasco.csv": pasco,
     "vernier.csv": vernier,
-    "track.parquet": parquet,
-    "track.npz": numpy_archive,
-    "track.mat": matlab,
-    "track.jsonl": json_lines,
-}
+    **{f"track.{suffix}": partial(_arrays, f"a.{suffix}")
+       for suffix in ("parquet", "npz", "mat", "jsonl")},
+}  # fmt: skip

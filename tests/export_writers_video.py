@@ -171,22 +171,17 @@ def phyphox_xlsx(path: Path, seconds: Sequence[float]) -> None:
     times = [float(one) for one in seconds]
     gaps = [*np.diff(times).tolist(), 0.0]
     stops = [*times[1:6], 0.0, 0.0, 0.0, 0.0, 0.0][:5]
-    write_xlsx(
-        path,
-        {
-            "Simple": [["Start (s)", "Stop (s)", "Difference (s)"], [times[0], times[1], gaps[0]]],
-            "Multiple": [
-                ["Start (s)", *(f"Stop {n} (s)" for n in range(1, 6))],
-                [times[0], *stops],
-            ],
-            "All": [["Event time (s)", "Interval (s)"], *map(list, zip(times, gaps, strict=True))],
-            "Metadata Device": [["property", "value"], ["version", "1.1.11"]],
-            "Metadata Time": [
-                ["event", "experiment time", "system time"],
-                ["START", 0.0, 1_700_000_000.1],
-            ],
-        },
-    )
+    sheets: dict[str, Sequence[Sequence[object]]] = {
+        "Simple": [["Start (s)", "Stop (s)", "Difference (s)"], [times[0], times[1], gaps[0]]],
+        "Multiple": [["Start (s)", *(f"Stop {n} (s)" for n in range(1, 6))], [times[0], *stops]],
+        "All": [["Event time (s)", "Interval (s)"], *map(list, zip(times, gaps, strict=True))],
+        "Metadata Device": [["property", "value"], ["version", "1.1.11"]],
+        "Metadata Time": [
+            ["event", "experiment time", "system time"],
+            ["START", 0.0, 1_700_000_000.1],
+        ],
+    }
+    write_xlsx(path, sheets)
 
 
 def write_xlsx(path: Path, sheets: Mapping[str, Sequence[Sequence[object]]]) -> None:
@@ -195,52 +190,38 @@ def write_xlsx(path: Path, sheets: Mapping[str, Sequence[Sequence[object]]]) -> 
     office = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
     package = "http://schemas.openxmlformats.org/package/2006"
     kinds = "application/vnd.openxmlformats-officedocument.spreadsheetml"
-    head = '<?xml version="1.0" encoding="UTF-8"?>'
-    numbered = list(enumerate(sheets, 1))
-    parts = {
-        "[Content_Types].xml": f'{head}<Types xmlns="{package}/content-types">'
-        '<Default Extension="rels" '
-        'ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
-        f'<Override PartName="/xl/workbook.xml" ContentType="{kinds}.sheet.main+xml"/>'
-        + "".join(
-            f'<Override PartName="/xl/worksheets/sheet{n}.xml" '
-            f'ContentType="{kinds}.worksheet+xml"/>'
-            for n, _ in numbered
+    rels = f'<Relationships xmlns="{package}/relationships">'
+    types = f'<Types xmlns="{package}/content-types"><Default Extension="rels" '
+    types += 'ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
+    types += f'<Override PartName="/xl/workbook.xml" ContentType="{kinds}.sheet.main+xml"/>'
+    book, book_rels = f'<workbook xmlns="{main}" xmlns:r="{office}"><sheets>', rels
+    parts: dict[str, str] = {}
+    for n, (name, rows) in enumerate(sheets.items(), 1):
+        part = f"worksheets/sheet{n}.xml"
+        types += f'<Override PartName="/xl/{part}" ContentType="{kinds}.worksheet+xml"/>'
+        book += f'<sheet name="{escape(name)}" sheetId="{n}" r:id="rId{n}"/>'
+        book_rels += f'<Relationship Id="rId{n}" Type="{office}/worksheet" Target="{part}"/>'
+        cells = "".join(
+            f'<row r="{at}">{"".join(_cell(at, *one) for one in enumerate(row))}</row>'
+            for at, row in enumerate(rows, 1)
         )
-        + "</Types>",
-        "_rels/.rels": f'{head}<Relationships xmlns="{package}/relationships"><Relationship '
-        f'Id="rId1" Type="{office}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
-        "xl/workbook.xml": f'{head}<workbook xmlns="{main}" xmlns:r="{office}"><sheets>'
-        + "".join(
-            f'<sheet name="{escape(name)}" sheetId="{n}" r:id="rId{n}"/>' for n, name in numbered
+        parts[f"xl/{part}"] = (
+            f'<worksheet xmlns="{main}"><sheetData>{cells}</sheetData></worksheet>'
         )
-        + "</sheets></workbook>",
-        "xl/_rels/workbook.xml.rels": f'{head}<Relationships xmlns="{package}/relationships">'
-        + "".join(
-            f'<Relationship Id="rId{n}" Type="{office}/worksheet" '
-            f'Target="worksheets/sheet{n}.xml"/>'
-            for n, _ in numbered
-        )
-        + "</Relationships>",
+    parts |= {
+        "[Content_Types].xml": f"{types}</Types>",
+        "_rels/.rels": f'{rels}<Relationship Id="rId1" Type="{office}/officeDocument" '
+        'Target="xl/workbook.xml"/></Relationships>',
+        "xl/workbook.xml": f"{book}</sheets></workbook>",
+        "xl/_rels/workbook.xml.rels": f"{book_rels}</Relationships>",
     }
-    for number, name in numbered:
-        rows = "".join(
-            f'<row r="{at}">'
-            + "".join(_cell(at, column, value) for column, value in enumerate(row))
-            + "</row>"
-            for at, row in enumerate(sheets[name], 1)
-        )
-        parts[f"xl/worksheets/sheet{number}.xml"] = (
-            f'{head}<worksheet xmlns="{main}"><sheetData>{rows}</sheetData></worksheet>'
-        )
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for part, text in parts.items():
-            archive.writestr(part, text)
+            archive.writestr(part, f'<?xml version="1.0" encoding="UTF-8"?>{text}')
 
 
 def _cell(row: int, column: int, value: object) -> str:
-    letters = ""
-    column += 1
+    letters, column = "", column + 1
     while column:
         column, rest = divmod(column - 1, 26)
         letters = chr(65 + rest) + letters

@@ -205,13 +205,14 @@ def png_of_words(count: int) -> bytes:
     return data[:33] + part * count + data[33:]
 
 
-def forged_jpeg(path: Path, claim: tuple[int, int] = (30_000, 30_000)) -> None:
-    """Small JPEGs whose headers claim another size."""
+def forged_jpeg(path: Path, claim: tuple[int, int] = (30_000, 30_000), tail: int = 0) -> None:
+    """Small JPEGs whose headers claim another size; behind each, so many bytes that say nothing."""
     pixels = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
     data = bytearray(cv2.imencode(".jpg", pixels)[1].tobytes())
     at = data.index(b"\xff\xc0") + 5
     data[at : at + 4] = struct.pack(">HH", *claim)
     defined = _STORE.generate_msgdef(_COMPRESSED, ros_version=2)[0]
+    data += np.random.default_rng(1).bytes(tail)
     _log(path, _COMPRESSED, "ros2msg", defined, "cdr", _picture(0, "jpeg", bytes(data)))
 
 
@@ -405,6 +406,7 @@ _LOGS: dict[str, Callable[[Path], object]] = {
     "db3_of_topics": lambda path: db3_of(path, 1_000_000, 1),
     "db3_of_empty_messages": lambda path: db3_of(path, 1, 2_000_000),
     "still_film": _still_film,  # 150 pictures of 16 megapixels in 53 kB
+    "believed_jpeg": lambda path: forged_jpeg(path, (6000, 6000), tail=70_000),
 }
 HOSTILE: dict[str, Hostile] = {
     **{name: Hostile("bomb.mcap", make, True, _REFUSED) for name, make in _NO_LOGS.items()},

@@ -21,10 +21,10 @@ import av
 import lz4.frame
 import numpy as np
 import zstandard
-from mcap.writer import Writer
 
 from tests.export_writers_video import write_xlsx
 from tests.hostile import HOSTILE, Hostile, blank
+from tests.message_logs import Schema, write_raw
 from tunenet_logs import messages
 
 # Tables.
@@ -150,11 +150,9 @@ def _packed_motive(path: Path) -> None:
 
 
 def _long_definition(path: Path) -> None:
-    from tests.tunenet_logs.any_message_logs import write_raw
-
     text = "Loop[] me\n" + "".join(f"float64 f{n}\n" for n in range(100_000))
     text += "=" * 80 + "\nMSG: a/Loop\nLoop[] me\n"
-    write_raw(path, "/thing", "a/msg/Loop", text.encode(), bytes(64))
+    write_raw(path, [("/thing", Schema("a/msg/Loop", text=text.encode()), 1, bytes(64))])
 
 
 def _lists(_: Path) -> bytes:
@@ -184,6 +182,44 @@ def _zeros_xlsx(path: Path) -> None:
             archive.writestr(f"xl/worksheets/sheet{number + 2}.xml", b" " * 2**28)
 
 
+_SHEET = "xl/worksheets/sheet1.xml"
+_SHEET_HEAD = (
+    '<?xml version="1.0"?>'
+    '<worksheet xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"><sheetData>'
+)
+
+
+def _with_sheet(path: Path, cells: str, head: str = _SHEET_HEAD) -> None:
+    """A workbook whose one sheet holds this XML."""
+    write_xlsx(path, {"S": _ROWS})
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    parts[_SHEET] = f"{head}{cells}</sheetData></worksheet>".encode()
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in parts.items():
+            archive.writestr(name, data)
+
+
+def _sparse_xlsx(path: Path) -> None:
+    """Two cells, as far apart as a sheet allows."""
+    first = '<row r="1"><c r="A1"><v>1</v></c></row>'
+    _with_sheet(path, f'{first}<row r="9"><c r="XFD1048576"><v>2</v></c></row>')
+
+
+def _forged_xlsx(path: Path) -> None:
+    """A sheet of 300 MiB that is said to have a thousand bytes."""
+    _with_sheet(path, " " * (300 * _MIB))
+    data = path.read_bytes()
+    at = data.rindex(b"PK\x01\x02", 0, data.rindex(_SHEET.encode()))  # its entry in the directory
+    path.write_bytes(data[: at + 24] + struct.pack("<I", 1000) + data[at + 28 :])
+
+
+def _entities_xlsx(path: Path) -> None:
+    types = '?><!DOCTYPE a [<!ENTITY b "cccccccc"><!ENTITY d "&b;&b;&b;&b;">]>'
+    cell = '<row r="1"><c r="A1" t="inlineStr"><is><t>&d;</t></is></c></row>'
+    _with_sheet(path, cell, _SHEET_HEAD.replace("?>", types, 1))
+
+
 def _repeated_ods(path: Path) -> None:
     space = "urn:oasis:names:tc:opendocument:xmlns"
     cell = '<table:table-cell office:value-type="float" office:value="1" '
@@ -201,12 +237,12 @@ def _repeated_ods(path: Path) -> None:
         archive.writestr("META-INF/manifest.xml", "<manifest/>")
 
 
-def _zip(path: Path, count: int, data: bytes) -> None:
+def _zip(path: Path, count: int, data: bytes, name: str = "{}.png") -> None:
     with zipfile.ZipFile(
         path, "w", zipfile.ZIP_DEFLATED if data else zipfile.ZIP_STORED
     ) as archive:
         for number in range(count):
-            archive.writestr(f"{number}.png", data, compresslevel=1)
+            archive.writestr(name.format(number), data, compresslevel=1)
 
 
 def _blank_folder(path: Path) -> None:
@@ -300,21 +336,16 @@ class Block(NamedTuple):
 
 def write_blocks(path: Path, topics: dict[str, list[Block]]) -> Path:
     """A log of blocks as our recorders write them, whatever they state."""
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        definition = messages.definition(messages.RAW_AUDIO).encode()
-        schema = writer.register_schema(messages.RAW_AUDIO, "ros2msg", definition)
-        for topic, blocks in topics.items():
-            channel = writer.register_channel(topic, "cdr", schema)
-            for block in blocks:
-                message = messages.raw_audio(block.stamp_ns, np.zeros((0, 1), np.int16), 0)
-                message.data, message.sample_rate = np.frombuffer(block.pcm, "u1"), block.rate_hz
-                message.number_of_channels = block.channels
-                data = messages.encode(message, messages.RAW_AUDIO)
-                writer.add_message(channel, block.stamp_ns, data, block.stamp_ns)
-        writer.finish()
-    return path
+    text = messages.definition(messages.RAW_AUDIO).encode()
+    schema, sent = Schema(messages.RAW_AUDIO, text=text), []
+    for topic, blocks in topics.items():
+        for block in blocks:
+            message = messages.raw_audio(block.stamp_ns, np.zeros((0, 1), np.int16), 0)
+            message.data, message.sample_rate = np.frombuffer(block.pcm, "u1"), block.rate_hz
+            message.number_of_channels = block.channels
+            data = messages.encode(message, messages.RAW_AUDIO)
+            sent.append((topic, schema, block.stamp_ns, data))
+    return write_raw(path, sent)
 
 
 def tones(seconds: float, rate_hz: int = 48_000, channels: int = 1) -> bytes:
@@ -411,6 +442,13 @@ _QUICK: dict[str, tuple[str, Callable[[Path], object]]] = {
     "forged_parquet": ("bomb.parquet",  # a footer of nearly 2 GiB
                        lambda _: b"PAR1" + bytes(1000) + struct.pack("<I", 2**31 - 1) + b"PAR1"),
     "workbook_with_macros": ("bomb.xlsm", _macros),
+    "sparse_workbook": ("bomb.xlsx", _sparse_xlsx),
+    "forged_workbook": ("bomb.xlsx", _forged_xlsx),
+    "workbook_of_entities": ("bomb.xlsx", _entities_xlsx),
+    "deep_workbook": ("bomb.xlsx", lambda path: _with_sheet(path, "<a>" * 1_000_000)),
+    "wide_workbook": ("bomb.xlsx",
+                      lambda path: write_xlsx(path, {"S": [[f"x{n}" for n in range(16_000)]]})),
+    "archive_of_parts": ("bomb.xlsx", lambda path: _zip(path, 20_000, b"", "xl/{}")),
     "spreadsheet_repeated": ("bomb.ods", _repeated_ods),  # a row, a billion times
     "forged_tiffs": ("bomb", _forged_tiffs),  # 2^31 pixels in a kilobyte
     "forged_y4m": ("bomb.y4m", lambda _: b"YUV4MPEG2 W65000 H65000 F30:1 C420\nFRAME\n"

@@ -14,7 +14,12 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pandas as pd
+import scipy.io
 from numpy.typing import NDArray
+
+from tests.export_writers_video import write_xlsx
+from tests.strangers import bounce_heights
 
 Floats = NDArray[np.float64]
 
@@ -25,16 +30,7 @@ RATE_HZ = 240.0
 def drop(height_m: float = 1.2, seconds: float = 2.0) -> tuple[Floats, Floats]:
     """Times, and the places of a ball that falls, z up, shape (T, 3)."""
     times = np.arange(int(seconds * RATE_HZ)) / RATE_HZ
-    heights = np.empty_like(times)
-    start_s, speed, height = 0.0, 0.0, height_m
-    lands_s = np.sqrt(2 * height_m / 9.80665)
-    for row, time in enumerate(times):
-        while time > lands_s:
-            speed = RESTITUTION * (9.80665 * (lands_s - start_s) - speed)
-            start_s, height = lands_s, 0.0
-            lands_s = start_s + 2 * speed / 9.80665
-        since = time - start_s
-        heights[row] = height + speed * since - 9.80665 * since**2 / 2
+    heights = bounce_heights(RESTITUTION, height_m, times, 9.80665)
     return times, np.column_stack([0.1 + 0 * times, 0.2 + 0 * times, heights])
 
 
@@ -215,7 +211,32 @@ def ulog(path: Path) -> None:
     write_ulog(path, {"vehicle_mocap_odometry": ball, "battery_status": battery})
 
 
-# By the name of the file that each of them writes.
+def _rows(arrays: Mapping[str, Any]) -> list[dict[str, Any]]:
+    columns = {name: np.asarray(one).tolist() for name, one in arrays.items()}
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def _table(arrays: Mapping[str, Any]) -> pd.DataFrame:
+    return pd.DataFrame({name: np.asarray(one).tolist() for name, one in arrays.items()})
+
+
+# By the name of the file that each of them writes: arrays by their names.
+ARRAYS: dict[str, Callable[[Path, Mapping[str, Any]], object]] = {
+    "a.npz": lambda path, arrays: np.savez(path, **arrays),
+    "b.npz": lambda path, arrays: np.savez_compressed(path, **arrays),
+    "a.mat": lambda path, arrays: scipy.io.savemat(path, dict(arrays)),
+    "b.mat": lambda path, arrays: scipy.io.savemat(path, dict(arrays), do_compression=True),
+    "c.mat": lambda path, arrays: scipy.io.savemat(path, dict(arrays), format="4"),
+    "a.json": lambda path, arrays: path.write_text(
+        json.dumps({name: np.asarray(one).tolist() for name, one in arrays.items()})),
+    "b.json": lambda path, arrays: path.write_text(json.dumps(_rows(arrays))),
+    "a.jsonl": lambda path, arrays: path.write_text("\n".join(map(json.dumps, _rows(arrays)))),
+    "a.parquet": lambda path, arrays: _table(arrays).to_parquet(path),
+    "a.csv": lambda path, arrays: _table(arrays).to_csv(path, index=False),
+    "a.xlsx": lambda path, arrays: write_xlsx(
+        path, {"S": [list(arrays), *_table(arrays).to_numpy().tolist()]}),
+}  # fmt: skip
+# Likewise: a drop, and the joints of an arm.
 DROPS: dict[str, Callable[[Path], None]] = {
     "plain.h5": plain_hdf5, "table.h5": table_hdf5, "saved.mat": matlab_73, "drop.feather": feather,
     "drop.arrow": lambda path: _arrow("new_file", path), "drop.arrows": arrow_stream,

@@ -11,53 +11,33 @@ from typing import Any
 import av
 import cv2
 import numpy as np
-from mcap.writer import CompressionType, Writer
-from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as FolderWriter
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
+from tests.message_logs import Sent, header, write_bag, write_cdr, write_folder
+
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 RAW, VIDEO = "foxglove_msgs/msg/RawImage", "foxglove_msgs/msg/CompressedVideo"
 _FRAME = "builtin_interfaces/Time timestamp\nstring frame_id\n"
-STORE.register(get_types_from_msg(f"{_FRAME}uint8[] data\nstring format\n", VIDEO))
-STORE.register(
-    get_types_from_msg(
-        f"{_FRAME}uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data\n", RAW
-    )
-)
+_OF_FOXGLOVE = {
+    VIDEO: f"{_FRAME}uint8[] data\nstring format\n",
+    RAW: f"{_FRAME}uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data\n",
+}
 
 # Stamp [ns], type, and the fields of a message beside its header.
 Fields = tuple[int, str, dict[str, Any]]
 
 
+def _sent(messages: Iterable[Fields], topic: str) -> Iterator[Sent]:
+    """Heard 5 ms after the stamps of the messages."""
+    for stamp_ns, kind, fields in messages:
+        taken = header(stamp_ns, "lens")
+        said = {"header": taken, "timestamp": taken["stamp"], "frame_id": "lens"}
+        yield topic, kind, stamp_ns + 5_000_000, {**said, **fields}
+
+
 def write_pictures(path: Path, messages: Iterable[Fields], topic: str = "/eye") -> Path:
     """A log of one topic; times of the log are 5 ms later than the stamps of its messages."""
-    channels: dict[str, int] = {}
-    with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.LZ4, chunk_size=1 << 20)
-        writer.start(profile="ros2", library="somebody's camera")
-        for stamp_ns, type_name, fields in messages:
-            if type_name not in channels:
-                text = STORE.generate_msgdef(type_name, ros_version=2)[0].encode()
-                schema = writer.register_schema(type_name, "ros2msg", text)
-                channels[type_name] = writer.register_channel(topic, "cdr", schema)
-            data = bytes(STORE.serialize_cdr(_message(stamp_ns, type_name, fields), type_name))
-            writer.add_message(channels[type_name], stamp_ns + 5_000_000, data, stamp_ns)
-        writer.finish()
-    return path
-
-
-def _message(stamp_ns: int, type_name: str, fields: dict[str, Any]) -> Any:
-    types = STORE.types
-    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
-    stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-    ready = {**fields, "data": np.frombuffer(fields["data"], np.uint8)}
-    if type_name in (RAW, VIDEO):
-        return types[type_name](timestamp=stamp, frame_id="lens", **ready)
-    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="lens")
-    return types[type_name](header=header, **ready)
+    return write_cdr(path, _sent(messages, topic), _OF_FOXGLOVE, start_ns=0)
 
 
 def image(
@@ -76,12 +56,10 @@ def image(
 
 
 def compressed(stamp_ns: int, said: str, data: bytes) -> Fields:
-    """A sensor_msgs/CompressedImage that says it is `said`."""
     return stamp_ns, COMPRESSED, {"format": said, "data": data}
 
 
 def video(stamp_ns: int, said: str, data: bytes) -> Fields:
-    """A foxglove.CompressedVideo that says it is `said`."""
     return stamp_ns, VIDEO, {"format": said, "data": data}
 
 
@@ -135,14 +113,6 @@ def png(pixels: np.ndarray) -> bytes:
     return cv2.imencode(".png", pixels[..., ::-1] if pixels.ndim == 3 else pixels)[1].tobytes()
 
 
-def _uyvy(rgb: np.ndarray) -> bytes:
-    return cv2.cvtColor(rgb, cv2.COLOR_RGB2YUV_UYVY).tobytes()
-
-
-def _yuy2(rgb: np.ndarray) -> bytes:
-    return cv2.cvtColor(rgb, cv2.COLOR_RGB2YUV_YUY2).tobytes()
-
-
 def _nv(rgb: np.ndarray, first: int) -> bytes:
     """Brightness, then the two colours in turn, from the planar form that OpenCV makes."""
     height, width = rgb.shape[:2]
@@ -173,19 +143,19 @@ def _rgba(rgb: np.ndarray) -> np.ndarray:
 # From RGB, shape (H, W, 3), to the bytes of an encoding of sensor_msgs/Image.
 ENCODED: dict[str, Callable[[np.ndarray], bytes]] = {
     "rgb8": lambda rgb: rgb.tobytes(),
-    "bgr8": lambda rgb: rgb[..., ::-1].tobytes(),
-    "8UC3": lambda rgb: rgb[..., ::-1].tobytes(),
     "rgba8": lambda rgb: _rgba(rgb).tobytes(),
-    "bgra8": lambda rgb: _rgba(rgb)[..., [2, 1, 0, 3]].tobytes(),
-    "8UC4": lambda rgb: _rgba(rgb)[..., [2, 1, 0, 3]].tobytes(),
-    "mono8": _grey,
-    "8UC1": _grey,
-    "mono16": lambda rgb: _grey(rgb, 256),
-    "16UC1": lambda rgb: _grey(rgb, 256),
-    "yuv422": _uyvy,
-    "uyvy": _uyvy,
-    "yuv422_yuy2": _yuy2,
-    "yuyv": _yuy2,
+    **dict.fromkeys(("bgr8", "8UC3"), lambda rgb: rgb[..., ::-1].tobytes()),
+    **dict.fromkeys(("bgra8", "8UC4"), lambda rgb: _rgba(rgb)[..., [2, 1, 0, 3]].tobytes()),
+    **dict.fromkeys(("mono8", "8UC1"), _grey),
+    **dict.fromkeys(("mono16", "16UC1"), lambda rgb: _grey(rgb, 256)),
+    **{
+        name: lambda rgb, kind=kind: cv2.cvtColor(rgb, kind).tobytes()
+        for kind, names in (
+            (cv2.COLOR_RGB2YUV_UYVY, ("yuv422", "uyvy")),
+            (cv2.COLOR_RGB2YUV_YUY2, ("yuv422_yuy2", "yuyv")),
+        )
+        for name in names
+    },
     "nv12": lambda rgb: _nv(rgb, 0),
     "nv21": lambda rgb: _nv(rgb, 1),
     **{
@@ -201,31 +171,15 @@ Taken = Iterable[tuple[int, np.ndarray]]  # stamps [ns], and pictures: RGB, shap
 
 def write_jpegs_bag(path: Path, pictures: Taken, topic: str = "/eye") -> Path:
     """A ROS 1 bag of JPEGs as a camera's driver makes them, of quality 95."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    with BagWriter(path) as writer:
-        connection = writer.add_connection(topic, COMPRESSED, typestore=store)
-        for count, (stamp_ns, pixels) in enumerate(pictures):
-            time = store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
-            header = store.types["std_msgs/msg/Header"](seq=count, stamp=time, frame_id="lens")
-            data = np.frombuffer(jpeg(pixels), np.uint8)
-            message = store.types[COMPRESSED](header=header, format="jpeg", data=data)
-            raw = bytes(store.serialize_ros1(message, COMPRESSED))
-            writer.write(connection, stamp_ns + 5_000_000, raw)
-    return path
+    messages = (compressed(stamp_ns, "jpeg", jpeg(pixels)) for stamp_ns, pixels in pictures)
+    return write_bag(path, _sent(messages, topic), start_ns=0)
 
 
 def write_pictures_folder(
     path: Path, messages: Iterable[Fields], storage: StoragePlugin, topic: str = "/eye"
 ) -> Path:
     """A ROS 2 bag's folder; times of the log are 5 ms later than the stamps of its messages."""
-    with FolderWriter(path, version=9, storage_plugin=storage) as writer:
-        connection: Any = None
-        for stamp_ns, type_name, fields in messages:
-            if connection is None:
-                connection = writer.add_connection(topic, type_name, typestore=STORE)
-            data = bytes(STORE.serialize_cdr(_message(stamp_ns, type_name, fields), type_name))
-            writer.write(connection, stamp_ns + 5_000_000, data)
-    return path
+    return write_folder(path, _sent(messages, topic), storage, start_ns=0)
 
 
 def write_video_file(path: Path, pictures: Taken, codec: str, rate_hz: int, **options: str) -> Path:

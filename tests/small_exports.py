@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import gzip
 import json
+import shutil
 import tempfile
 import zipfile
 from collections.abc import Callable, Iterable, Sequence
@@ -17,9 +18,14 @@ import lz4.frame
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
+from rosbags.rosbag1 import Writer as BagWriter
+from rosbags.rosbag2 import CompressionMode
 
-from tests import export_writers, export_writers_video, library_writers
+from tests import export_writers, export_writers_video, library_writers, strangers
+from tests import message_logs as logs
+from tests.clips import clicks, write_clip
 from tests.export_writers_video import FilmedTrack, phyphox_xlsx, write_xlsx
+from tests.message_logs import Schema, in_steps, write_json, write_raw
 
 SECONDS = np.arange(24) / 60
 BALL = np.column_stack([0 * SECONDS, 0.1 * SECONDS, 1 - 4.9 * SECONDS**2])
@@ -33,20 +39,6 @@ def _captured(layout: str, path: Path) -> None:
 
 def _filmed(writer: Callable[[Path, FilmedTrack], None], path: Path) -> None:
     writer(path, FilmedTrack(SECONDS, {"A": BALL, "B": BALL + 1}, rate_hz=60))
-
-
-def _mat(path: Path, *, form: str = "5", packed: bool = False) -> None:
-    import scipy.io
-
-    arrays = {"run": {**ARRAYS}} if form == "5" else ARRAYS
-    scipy.io.savemat(path, arrays, format=form, do_compression=packed)
-
-
-def _parquet(path: Path) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    pq.write_table(pa.table({"timestamp": SECONDS, "x": BALL[:, 0], "z": BALL[:, 2]}), path)
 
 
 def _book(path: Path) -> None:
@@ -116,17 +108,44 @@ def _webp(path: Path) -> None:
 
 
 def _unknown_type(path: Path) -> None:
-    from tests.tunenet_logs.any_message_logs import write_json
-
     messages = [{"when": t, "at": dict(zip("xyz", xyz, strict=True))} for t, xyz in ROWS]
-    write_json(path, "/thing", "lab.Seen", messages)
+    write_json(path, in_steps("/thing", "lab.Seen", messages))
 
 
 def _defined_type(path: Path) -> None:
-    from tests.tunenet_logs.any_message_logs import write_raw
-
     text = b"float64 t\nlab/Point at\n" + b"=" * 80 + b"\nMSG: lab/Point\nfloat64 x\nfloat64 z\n"
-    write_raw(path, "/thing", "lab/msg/Seen", text, b"\0\1\0\0" + bytes(24))
+    write_raw(path, [("/thing", Schema("lab/msg/Seen", text=text), 1, b"\0\1\0\0" + bytes(24))])
+
+
+def _clip(codec: str, path: Path, film: str = "") -> None:
+    write_clip(path, clicks([0.1], 0.2), codec, film=film, pictures=5)
+
+
+POSES = [("/a", logs.POSE, n * 10**7, logs.pose(n * 10**7, xyz)) for n, (_, xyz) in enumerate(ROWS)]
+PLANS = [("/a", logs.TRAJECTORY, n, logs.trajectory(0, "ab", logs.point(n, xyz[:2], xyz[1:])))
+         for n, (_, xyz) in enumerate(ROWS)]  # fmt: skip
+PICTURES = [
+    one for n in range(8) for one in (
+        ("/raw", "sensor_msgs/msg/Image", n,
+         {"width": 32, "height": 32, "encoding": "rgb8", "step": 96, "data": spot(n).tobytes()}),
+        ("/jpeg", "sensor_msgs/msg/CompressedImage", n,
+         {"format": "jpeg", "data": cv2.imencode(".jpg", spot(n))[1].tobytes()}))
+]  # fmt: skip
+STATES = [("/a", logs.JOINT_STATE, n, {"name": ["a", "b"], "position": xyz[1:], "effort": xyz[:2]})
+          for n, (_, xyz) in enumerate(ROWS)]  # fmt: skip
+
+
+def _foxglove(path: Path) -> None:
+    strangers.write_protobuf(path.with_name("chunks"), 10**9 + np.arange(24) * 10**7, BALL)
+    strangers.without_chunks(path.with_name("chunks"), path)
+    path.with_name("chunks").unlink()
+
+
+def _db3(path: Path, mode: CompressionMode = CompressionMode.NONE) -> None:
+    folder = path.with_name("folder")
+    logs.write_folder(folder, POSES, mode=mode)
+    next(folder.glob("*.db3")).rename(path)
+    shutil.rmtree(folder)
 
 
 ZSTD = zstandard.ZstdCompressor().compress
@@ -143,12 +162,13 @@ KINDS: dict[str, Callable[[Path], object]] = {
     "ur.csv": lambda path: _joints(path, "timestamp", UR, " "),
     "franka.csv": lambda path: _joints(path, "time", FRANKA, ","),
     "plain.csv": _table,
-    "a.parquet": _parquet,
+    "a.parquet": lambda path: library_writers.ARRAYS["a.parquet"](
+        path, {"timestamp": SECONDS, "x": BALL[:, 0], "z": BALL[:, 2]}),
     "a.npy": lambda path: np.save(path, np.column_stack([SECONDS, BALL])),
     "a.npz": lambda path: np.savez_compressed(path, **ARRAYS),
-    "level4.mat": partial(_mat, form="4"),
-    "level5.mat": _mat,
-    "packed.mat": partial(_mat, packed=True),
+    "level4.mat": lambda path: library_writers.ARRAYS["c.mat"](path, ARRAYS),
+    "level5.mat": lambda path: library_writers.ARRAYS["a.mat"](path, {"run": ARRAYS}),
+    "packed.mat": lambda path: library_writers.ARRAYS["b.mat"](path, {"run": ARRAYS}),
     "a.jsonl": lambda path: path.write_text(
         "".join(json.dumps({"t": t, "ball": xyz}) + "\n" for t, xyz in ROWS)),
     "plain.h5": library_writers.plain_hdf5,
@@ -157,7 +177,7 @@ KINDS: dict[str, Callable[[Path], object]] = {
     "a.arrows": library_writers.arrow_stream,
     "a.rrd": library_writers.rerun_points,
     "a.ulg": library_writers.ulog,
-    "pngs.zip": partial(_pictures, ".png"),
+    **{f"{one}s.zip": partial(_pictures, f".{one}") for one in ("png", "jpg", "webp")},
     "tiffs.zip": partial(_pictures, ".tiff"),
     "bmps.zip": partial(_pictures, ".bmp"),
     "a.y4m": partial(_film, "rawvideo"),
@@ -168,6 +188,21 @@ KINDS: dict[str, Callable[[Path], object]] = {
     "plain.csv.bz2": partial(_packed, bz2.compress, _table),
     "plain.csv.lz4": partial(_packed, lz4.frame.compress, _table),
     "unknown.mcap.zst": partial(_packed, ZSTD, _unknown_type),
+    # Messages outside chunks, whose damage no checksum keeps from what decodes them.
+    "cdr.mcap": lambda path: logs.write_cdr(path, [*POSES, *PLANS, *STATES], chunk_bytes=0),
+    "json.mcap": lambda path: logs.write_json(path, [*POSES, *PLANS, *STATES], chunk_bytes=0),
+    "protobuf.mcap": _foxglove,
+    "pictures.mcap": lambda path: logs.write_cdr(path, PICTURES, chunk_bytes=0),
+    "plain.bag": lambda path: logs.write_bag(path, [*POSES, *STATES]),
+    **{f"{one.name}.bag": partial(logs.write_bag, sent=POSES, compression=one)
+       for one in BagWriter.CompressionFormat},
+    "a.db3": _db3,
+    "messages.db3": partial(_db3, mode=CompressionMode.MESSAGE),
+    **{f"a.{name}": partial(_clip, codec) for name, codec in (
+        ("wav", "pcm_s16le"), ("flac", "flac"), ("m4a", "aac"), ("ogg", "libopus"),
+        ("mp3", "libmp3lame"))},
+    "float.wav": partial(_clip, "pcm_f32le"),
+    "a.mp4": partial(_clip, "aac", film="libx264"),
     "unknown.mcap": _unknown_type,
     "defined.mcap": _defined_type,
 }  # fmt: skip

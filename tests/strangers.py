@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as BagWriter
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.rosbag2 import Writer as FolderWriter
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-POSE = "geometry_msgs/msg/PoseStamped"
+from tests import message_logs as logs
+from tests.message_logs import POSE, Sent, foxglove, pose
+
 TOPIC = "/vrpn/thing/pose"
 Stamps = np.ndarray | list[int]
 
@@ -64,16 +62,10 @@ class Stranger:
         return self.start_ns + np.round(times * 1e9).astype(np.int64), positions
 
 
-def _pose(types: Any, stamp_ns: int, position: np.ndarray, **more: Any) -> Any:
-    """A PoseStamped; `more` goes into its header."""
-    seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
-    stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-    place = types["geometry_msgs/msg/Point"](*(float(one) for one in position))
-    turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
-    return types[POSE](
-        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="map", **more),
-        pose=types["geometry_msgs/msg/Pose"](position=place, orientation=turn),
-    )
+def poses(stamps_ns: Stamps, positions: np.ndarray, topic: str, has_stamps: bool = True):
+    """Messages of PoseStamped, at the times of the log or with none."""
+    for stamp, place in zip(map(int, stamps_ns), positions, strict=True):
+        yield topic, POSE, stamp, pose(stamp if has_stamps else 0, place, frame="map")
 
 
 def write_poses(
@@ -83,95 +75,42 @@ def write_poses(
     topic: str = TOPIC,
     compression: CompressionType = CompressionType.LZ4,
     set_header: bool = True,
-    chunk_bytes: int = 1024 * 1024,
+    chunk_bytes: int = 2**20,
 ) -> None:
-    """A log of PoseStamped as a recorder of another distribution writes it."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    types = store.types
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=chunk_bytes, compression=compression)
-        writer.start(profile="ros2", library="somebody's recorder")
-        text = store.generate_msgdef(POSE, ros_version=2)[0].encode()
-        schema = writer.register_schema(POSE, "ros2msg", text)
-        channel = writer.register_channel(topic, "cdr", schema)
-        for stamp, position in zip(stamps_ns, positions, strict=True):
-            message = _pose(types, int(stamp) if set_header else 0, position)
-            data = bytes(store.serialize_cdr(message, POSE))
-            writer.add_message(channel, int(stamp), data, int(stamp))
-        writer.finish()
+    """A log as a recorder of another distribution writes it."""
+    sent = poses(stamps_ns, positions, topic, set_header)
+    logs.write_cdr(path, sent, start_ns=0, compression=compression, chunk_bytes=chunk_bytes)
 
 
-def write_ros1(
-    path: Path, stamps_ns: np.ndarray, positions: np.ndarray, topic: str = TOPIC
-) -> None:
-    """The same in the encoding of ROS 1, as `mcap convert` makes it of a bag."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    types = store.types
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start(profile="ros1", library="somebody's converter")
-        text = store.generate_msgdef(POSE, ros_version=1)[0].encode()
-        schema = writer.register_schema("geometry_msgs/PoseStamped", "ros1msg", text)
-        channel = writer.register_channel(topic, "ros1", schema)
-        for count, (stamp, position) in enumerate(zip(stamps_ns, positions, strict=True)):
-            message = _pose(types, int(stamp), position, seq=count)
-            data = bytes(store.serialize_ros1(message, POSE))
-            writer.add_message(channel, int(stamp), data, int(stamp))
-        writer.finish()
+def write_ros1(path: Path, stamps_ns: Stamps, positions: np.ndarray, topic: str = TOPIC) -> None:
+    """The same in the encoding of ROS 1."""
+    logs.write_ros1(path, poses(stamps_ns, positions, topic), start_ns=0)
 
 
 def write_protobuf(
-    path: Path, stamps_ns: np.ndarray, positions: np.ndarray, topic: str = TOPIC
+    path: Path, stamps_ns: Stamps, positions: np.ndarray, topic: str = TOPIC
 ) -> None:
-    """The same as foxglove.PoseInFrame in protobuf, by Foxglove's own writer."""
-    from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-    from mcap_protobuf.writer import Writer as ProtobufWriter
+    """The same as foxglove.PoseInFrame in protobuf."""
 
-    with path.open("wb") as file, ProtobufWriter(file) as writer:
-        for stamp, (x, y, z) in zip(stamps_ns, positions, strict=True):
-            message = PoseInFrame(frame_id="map")
-            message.timestamp.FromNanoseconds(int(stamp))
-            message.pose.position.x, message.pose.position.y, message.pose.position.z = x, y, z
-            message.pose.orientation.w = 1
-            writer.write_message(topic, message, int(stamp), int(stamp))
+    def sent(stamp_ns: int, place: np.ndarray) -> tuple[str, int, object]:
+        message = foxglove("PoseInFrame")(frame_id="map")
+        message.timestamp.FromNanoseconds(stamp_ns)
+        message.pose.position.x, message.pose.position.y, message.pose.position.z = place
+        message.pose.orientation.w = 1
+        return topic, stamp_ns, message
+
+    logs.write_protobuf(path, map(sent, map(int, stamps_ns), positions))
 
 
-def write_json(
-    path: Path, stamps_ns: np.ndarray, positions: np.ndarray, topic: str = TOPIC
-) -> None:
+def write_json(path: Path, stamps_ns: Stamps, positions: np.ndarray, topic: str = TOPIC) -> None:
     """The same as foxglove.PoseInFrame in JSON."""
-    messages = [
-        {
-            "timestamp": {"sec": int(stamp) // 10**9, "nsec": int(stamp) % 10**9},
-            "frame_id": "map",
-            "pose": {
-                "position": {"x": float(x), "y": float(y), "z": float(z)},
-                "orientation": {"x": 0, "y": 0, "z": 0, "w": 1},
-            },
-        }
-        for stamp, (x, y, z) in zip(stamps_ns, positions, strict=True)
-    ]
-    write_texts(path, "foxglove.PoseInFrame", messages, topic, stamps_ns)
 
+    def sent(_topic: str, _kind: str, stamp_ns: int, fields: dict) -> Sent:
+        at = {"sec": stamp_ns // 10**9, "nsec": stamp_ns % 10**9}
+        message = {"timestamp": at, "frame_id": "map", "pose": fields["pose"]}
+        return topic, "foxglove.PoseInFrame", stamp_ns, message
 
-def write_texts(
-    path: Path,
-    type_name: str,
-    messages: list,
-    topic: str = "/any",
-    stamps_ns: np.ndarray | None = None,
-) -> None:
-    """A log of JSON messages; bytes are taken as they are."""
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema(type_name, "jsonschema", b'{"type": "object"}')
-        channel = writer.register_channel(topic, "json", schema)
-        for count, message in enumerate(messages):
-            stamp = 1000 + count if stamps_ns is None else int(stamps_ns[count])
-            data = message if isinstance(message, bytes) else json.dumps(message).encode()
-            writer.add_message(channel, stamp, data, stamp)
-        writer.finish()
+    logs.write_json(path, (sent(*one) for one in poses(stamps_ns, positions, topic)), start_ns=0)
 
 
 def write_table(path: Path, stamps_ns: np.ndarray, positions: np.ndarray) -> None:
@@ -222,16 +161,8 @@ def write_poses_bag(
     chunk_bytes: int = 16 * 1024,
 ) -> None:
     """The same as a ROS 1 bag."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    writer = BagWriter(path)
-    if compression is not None:
-        writer.set_compression(compression)
-    writer.chunk_threshold = chunk_bytes
-    with writer:
-        connection = writer.add_connection(topic, POSE, typestore=store)
-        for count, (stamp, position) in enumerate(zip(stamps_ns, positions, strict=True)):
-            message = _pose(store.types, int(stamp), position, seq=count)
-            writer.write(connection, int(stamp), bytes(store.serialize_ros1(message, POSE)))
+    packing = {"compression": compression, "chunk_bytes": chunk_bytes}
+    logs.write_bag(path, poses(stamps_ns, positions, topic), start_ns=0, **packing)
 
 
 def write_poses_folder(
@@ -243,19 +174,5 @@ def write_poses_folder(
     mode: CompressionMode = CompressionMode.NONE,
 ) -> Path:
     """The same as a ROS 2 bag's folder; gives the one file in it."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    writer = FolderWriter(path, version=9, storage_plugin=storage)
-    if mode is not CompressionMode.NONE:
-        writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        connection = writer.add_connection(topic, POSE, typestore=store)
-        for stamp, position in zip(stamps_ns, positions, strict=True):
-            message = _pose(store.types, int(stamp), position)
-            writer.write(connection, int(stamp), bytes(store.serialize_cdr(message, POSE)))
+    logs.write_folder(path, poses(stamps_ns, positions, topic), storage, mode, start_ns=0)
     return next(one for one in path.iterdir() if one.name != "metadata.yaml")
-
-
-def foxglove(name: str) -> Any:
-    """A type of Foxglove's in protobuf."""
-    module = __import__(f"foxglove_schemas_protobuf.{name}_pb2", fromlist=[name])
-    return getattr(module, name)

@@ -5,70 +5,41 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
-from collections.abc import Container, Iterator
-from functools import cache, partial
+from collections.abc import Container
+from functools import cache
 from pathlib import Path
 
 import pytest
 
+from tests.conftest import MODULES
 from tests.wheel import FOLDERS, LINKED, PACKAGE, ROOT, module_path
-from tunenet_logs import commands
 
+# By folder at the top of the tree: from which folders it may import.
 ALLOWED = {
     "tunenet_logs": {"tunenet_logs"},
     "recorders": {"tunenet_logs", "recorders"},
     "analysis": {"tunenet_logs", "recorders", "analysis"},
 }
-"""By folder at the top of the tree: from which folders it may import."""
-
-
+# It names for type checkers what lies above it; when it runs it imports nothing.
 FRONT_DOOR = f"{PACKAGE}/__init__.py"
-"""It names for type checkers what lies above it; when it runs it imports nothing."""
-
-
-HEAVY = {"torch", "pybullet", "rerun", "cv2", "av", "pinocchio", "pandas", "tqdm", "google", "cma"}
-HEAVY |= {"mujoco", "pydrake", "newton", "warp", "optuna", "sklearn", "matplotlib", "jinja2", "ray"}
-HEAVY |= {"cyclonedds", "sbi", "ezc3d", "aiohttp", "fsspec", "pyarrow", "python_calamine", "shtab"}
-HEAVY |= {"sounddevice"}
-HEAVY |= {"mujoco", "pydrake", "newton", "warp"}
-
-HEAVY |= {
-    "cma",
-    "optuna",
-    "sklearn",
-    "matplotlib",
-    "jinja2",
-    "cyclonedds",
-    "sbi",
-    "ezc3d",
-    "aiohttp",
-    "fsspec",
-    "pyarrow",
-    "python_calamine",
-    "shtab",
-    "ray",
-    "sounddevice",
-}
-
+HEAVY = {
+    "aiohttp", "av", "cma", "cv2", "cyclonedds", "ezc3d", "fsspec", "google", "jinja2",
+    "matplotlib", "mujoco", "newton", "optuna", "pandas", "pinocchio", "pyarrow", "pybullet",
+    "pydrake", "python_calamine", "ray", "rerun", "sbi", "shtab", "sklearn", "sounddevice", "torch",
+    "tqdm", "warp",
+}  # fmt: skip
+# The rooms, by name, folders or modules, that may import a library at module level.
 OWNERS = {"rerun": "review", "cyclonedds": "ros2", "matplotlib": "report", "jinja2": "report"}
-"""The rooms, by name, folders or modules, that may import a library at module level."""
-
-
 SIMULATORS = "tunenet_logs.recorders.simulators."
-
+# The only modules that may import a physics engine at all,
 ENGINE_MODULES = {
     "pybullet": (f"{SIMULATORS}pybullet",),
     "mujoco": (f"{SIMULATORS}mujoco", f"{SIMULATORS}model."),
 }
-"""The only modules that may import a physics engine at all."""
-
-
+# but for the file of an engine's name in the room that writes files for engines.
 ENGINE_EXPORTS = "tunenet_logs.analysis.export."
-"""The room that writes files for engines: its file of an engine's name may import that engine."""
-
-
+# Each once, by its folder at the top of the tree: `rglob` does not follow links.
 FILES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
-"""Each once, by its folder at the top of the tree: `rglob` does not follow links."""
 
 
 @cache
@@ -114,12 +85,15 @@ def folder_of(module: str) -> str | None:
     return None if first != PACKAGE else second if second in LINKED else PACKAGE
 
 
-def imports() -> Iterator[tuple[Path, str]]:
+@cache
+def imports() -> list[tuple[Path, str]]:
     """All of them, those in functions and those for type checkers, too."""
-    for path in FILES:
-        for node in ast.walk(tree_of(path)):
-            for name in imported(node):
-                yield path, name
+    return [
+        (path, name)
+        for path in FILES
+        for node in ast.walk(tree_of(path))
+        for name in imported(node)
+    ]
 
 
 def test_imports_point_down():
@@ -192,12 +166,10 @@ def test_no_module_imports_itself_through_others():
         visit(name, ())
 
 
-HELPED = [one.args[1] for one in vars(commands).values() if isinstance(one, partial)]
-
 HELP = f"""
 import sys, tomllib
 from importlib import import_module
-for module in {HELPED}:
+for module in {list(MODULES.values())}:
     import_module(module).build_parser().format_help()
 heavy = {sorted(HEAVY | {"numpy", "rosbags", "mcap", "scipy"})}
 print([name for name in heavy if name in sys.modules])

@@ -1,20 +1,22 @@
-"""What holds for each of the ten commands: exit codes, streams that are not there, full disks."""
+"""What holds for each of the ten commands: exit codes, what shells complete, full disks.
+
+Refusals are in `test_refusals`.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
 import subprocess
-import tomllib
 from pathlib import Path
 
 import pytest
 
-from tests.conftest import BIN, ROOT, Command, files_no_larger_than
+from tests.conftest import BIN, COMMANDS, ROOT, Command, files_no_larger_than
 from tunenet_logs.analysis.api import save_tuning, tune
+from tunenet_logs.console import SHELLS
 
 SAMPLE = ROOT / "sample_logs" / "bouncy.mcap"
-SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
 
 
 @pytest.fixture(scope="module")
@@ -128,3 +130,69 @@ def test_a_full_disk_leaves_what_was_there(
     assert path.name in told
     assert "; " in told
     assert contents(tmp_path) == old
+
+
+# ---- What shells complete.
+
+# As it was registered for a command by its script, in a real bash.
+COMPLETE = """
+source "$1"; shift
+[[ $(complete -p "$1") =~ -F\\ ([^ ]+) ]] || exit 9
+COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMP_LINE="$*"; COMP_POINT=${#COMP_LINE}
+"${BASH_REMATCH[1]}" "$1" "${COMP_WORDS[-1]}" "${COMP_WORDS[-2]}"
+printf '%s\\n' "${COMPREPLY[@]}"
+"""
+
+
+@pytest.mark.parametrize(
+    ("line", "offered", "more"),
+    [
+        ("tunenet-tune --rev", "--review-only", False),
+        ("tunenet-tune --t", "--tare --task --topic", True),
+        # choices
+        ("tunenet-tune --review-only ", "ok suspect rejected", False),
+        ("tunenet-train pay", "payload", False),
+        ("tunenet-tune --ball ta", "table-tennis", True),
+        ("tunenet-tune --arm ur", "ur5e", True),
+        ("tunenet-export drop.json --to ", "mujoco sdf", True),
+        # files and folders
+        ("tunenet-tune dr", "drop_1.mcap drop.json", True),
+        ("tunenet-tune -o dr", "drops", False),
+        ("tunenet-tune drop.mcap --arm-card drop.", "drop.json", True),
+        # a verb and what follows it
+        ("tunenet-logs re", "recover", False),
+        ("tunenet-logs info --j", "--json", True),
+        ("tunenet-logs check drop.", "drop.json", True),
+    ],
+)
+def test_bash_completes(command: Command, tmp_path: Path, line: str, offered: str, more: bool):
+    """The last word: with these, or with more."""
+    bash = shutil.which("bash")
+    if bash is None:
+        pytest.skip("needs bash")
+    folder, script = tmp_path / "here", tmp_path / "script"
+    (folder / "drops").mkdir(parents=True)
+    for name in ("drop one.mcap", "drop.json"):
+        (folder / name).touch()
+    words = line.split(" ")
+    script.write_text(command(words[0], "--print-completion", "bash").stdout)
+    asked = [bash, "--norc", "-c", COMPLETE, "bash", script, *words]
+    done = subprocess.run(asked, cwd=folder, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    found = {one.strip().replace("drop one", "drop_1") for one in done.stdout.splitlines()}
+    assert set(offered.split()) <= found
+    assert more or found == set(offered.split())
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_shell_has_a_script(command: Command, name: str):
+    for shell in SHELLS:
+        done = command(name, "--print-completion", shell)
+        assert done.returncode == 0
+        assert name in done.stdout
+        assert "--print-completion" in done.stdout
+        if shell == "bash":
+            parsed = subprocess.run(
+                ["bash", "-n"], input=done.stdout, capture_output=True, text=True
+            )
+            assert (parsed.returncode, parsed.stderr) == (0, "")

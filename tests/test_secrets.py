@@ -5,11 +5,9 @@ from __future__ import annotations
 import base64
 import json
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from functools import partial
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import quote, unquote
 
@@ -17,7 +15,7 @@ import pytest
 
 from tests.analysis.batch.test_ledger import ledger_of, write_drop
 from tests.conftest import Command
-from tests.recorders.servers import HttpCamera, beside, http_camera
+from tests.recorders.servers import HttpServer, http_camera, http_server
 from tunenet_logs.addresses import Address, without_secrets
 
 pytest.importorskip("aiohttp")
@@ -26,18 +24,8 @@ pytestmark = pytest.mark.live
 USER, PASSWORD = "meuser", "hunter2/s@cret+%"
 PROOF = base64.b64encode(f"{USER}:{PASSWORD}".encode()).decode()
 SIGNATURE = "5f3c9a1be7d2Signature"
-SECRETS = (
-    USER,
-    PASSWORD,
-    quote(PASSWORD, safe=""),
-    quote(PASSWORD),
-    "hunter2",
-    "s@cret",
-    "s%40cret",
-    PROOF,
-    SIGNATURE,
-    "AKIAEXAMPLE",
-)
+PARTS = ("hunter2", "s@cret", "s%40cret")  # of the password, however it is written
+SECRETS = (USER, *PARTS, PROOF, SIGNATURE, "AKIAEXAMPLE")
 LOGIN = f"{USER}:{quote(PASSWORD, safe='')}@"
 SIGNED = (
     "X-Amz-Algorithm=AWS4-HMAC-SHA256&X-Amz-Credential=AKIAEXAMPLE%2F20261127%2Fs3&X-Amz-Date="
@@ -45,59 +33,24 @@ SIGNED = (
 )
 
 
-@dataclass
-class LogServer:
-    """Logs for whoever has a login or a signature, in each of the ways in which that fails.
+def log_server(logs: Mapping[str, bytes], moved: str = "") -> AbstractContextManager[HttpServer]:
+    """Logs by path for whoever has a login or a signature; of a number, that code.
 
-    Attributes:
-        logs: by their paths.
-        moved_to: where it sends on to from /moved.mcap, without a scheme.
-        seen: the `Authorization` of each request, "" for none.
+    It sends on from /moved.mcap to another server, whose address is without a scheme.
     """
 
-    logs: dict[str, bytes]
-    moved_to: str = ""
-    seen: list[str] = field(default_factory=list)
-    address: str = ""
-
-    def status(self, path: str, given: str) -> int:
-        """What a request is answered with."""
+    def answer(path: str, given: str) -> tuple[int, list[tuple[str, str]], bytes]:
         name, _, query = path.partition("?")
         if name[1:4].isdecimal():
-            return int(name[1:4])
+            return int(name[1:4]), [("Content-Length", "0")], b""
         if given != f"Basic {PROOF}" and SIGNATURE not in unquote(query):
-            return 401
+            return 401, [("Content-Length", "0")], b""
         if name == "/moved.mcap":
-            return 302
-        return 200 if name in self.logs else 404
+            return 302, [("Location", f"http://{moved}/drop.mcap"), ("Content-Length", "0")], b""
+        data = logs.get(name, b"")
+        return (200 if data else 404), [("Content-Length", str(len(data)))], data
 
-
-@contextmanager
-def log_server(served: LogServer) -> Iterator[LogServer]:
-    """Serves, and sets the address, without a scheme."""
-
-    class Handler(BaseHTTPRequestHandler):
-        def log_message(self, format: str, *_words: object) -> None:  # noqa: A002
-            pass
-
-        def do_GET(self) -> None:
-            given = self.headers.get("Authorization", "")
-            served.seen.append(given)
-            status = served.status(self.path, given)
-            data = served.logs.get(self.path.partition("?")[0], b"") if status == 200 else b""
-            self.send_response(status)
-            if status == 302:
-                self.send_header("Location", f"http://{served.moved_to}/drop.mcap")
-            self.send_header("Content-Length", str(len(data)))
-            self.end_headers()
-            if self.command == "GET":
-                self.wfile.write(data)
-
-        def do_HEAD(self) -> None:
-            self.do_GET()
-
-    with beside(ThreadingHTTPServer(("127.0.0.1", 0), Handler)) as served.address:
-        yield served
+    return http_server(HttpServer(answer))
 
 
 def contents(file: Path) -> Iterator[bytes]:
@@ -138,9 +91,9 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 @pytest.fixture
-def server(log: bytes) -> Iterator[LogServer]:
+def server(log: bytes) -> Iterator[HttpServer]:
     logs = {"/drop.mcap": log, "/cut.mcap": log[: len(log) // 2], "/none.mcap": b"none" * 100}
-    with log_server(LogServer(logs)) as served:
+    with log_server(logs) as served:
         yield served
 
 
@@ -152,9 +105,7 @@ FAILING = ("401.mcap", "403.mcap", "404.mcap", "none.mcap", "gone.mcap")
 
 
 @pytest.mark.parametrize("flags", [(), ("-v", "--debug"), ("--json", "-", "--quiet")])
-def test_a_log_that_fails_tells_no_secret(
-    server: LogServer, tmp_path: Path, command: Command, flags: tuple[str, ...]
-):
+def test_a_log_that_fails_tells_no_secret(server, tmp_path: Path, command: Command, flags):
     hosts = [(server.address, name) for name in FAILING]
     hosts += [("127.0.0.1:1", "refused.mcap"), ("nobody.invalid", "dns.mcap")]
     for way in (0, 1):
@@ -171,7 +122,7 @@ def test_a_log_that_fails_tells_no_secret(
     assert found_secrets(tmp_path, one.stdout, one.stderr) == []
 
 
-def test_a_log_that_is_tuned_tells_no_secret(server: LogServer, tmp_path: Path, command: Command):
+def test_a_log_that_is_tuned_tells_no_secret(server: HttpServer, tmp_path: Path, command: Command):
     out = tmp_path / "out"
     named = [addresses(server.address, "drop.mcap")[0], addresses(server.address, "cut.mcap")[1]]
     words = ("tunenet-tune", *named, "-o", out, "--json", out / "all.jsonl", "--resume", "-v")
@@ -193,11 +144,8 @@ def test_a_log_that_is_tuned_tells_no_secret(server: LogServer, tmp_path: Path, 
     assert found_secrets(tmp_path, *texts) == []
 
 
-def test_another_host_gets_no_login(
-    server: LogServer, log: bytes, tmp_path: Path, command: Command
-):
-    with log_server(LogServer({"/drop.mcap": log})) as other:
-        server.moved_to = other.address
+def test_another_host_gets_no_login(log: bytes, tmp_path: Path, command: Command):
+    with log_server({"/drop.mcap": log}) as other, log_server({}, other.address) as server:
         for way, address in enumerate(addresses(server.address, "moved.mcap")):
             done = command("tunenet-tune", address, "-o", tmp_path / f"{way}", "--no-review")
             assert done.returncode == 1
@@ -205,7 +153,7 @@ def test_another_host_gets_no_login(
         assert set(other.seen) <= {""}
 
 
-def test_a_log_signed_anew_is_the_same(server: LogServer, tmp_path: Path, command: Command):
+def test_a_log_signed_anew_is_the_same(server: HttpServer, tmp_path: Path, command: Command):
     words = partial(command, "tunenet-tune", "-o", tmp_path, "--no-review", "--resume")
     host = f"http://{server.address}/drop.mcap"
     assert "1 logs: 1 tuned" in words(f"{host}?{SIGNED}&run=7").stdout
@@ -220,7 +168,7 @@ def test_a_log_signed_anew_is_the_same(server: LogServer, tmp_path: Path, comman
 
 
 def test_the_login_of_a_log_may_stand_in_netrc(
-    server: LogServer, tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+    server: HttpServer, tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ):
     file = tmp_path / "netrc"
     file.write_text(f"machine 127.0.0.1 login {USER} password {PASSWORD}")
@@ -258,9 +206,7 @@ def test_the_login_of_a_log_may_stand_in_netrc(
         f"s3://AKIAEXAMPLE:{PASSWORD}@bucket/drop.mcap",
     ],
 )
-def test_where_no_address_is_read_none_is_told(
-    tmp_path: Path, command: Command, words: tuple[str, ...], form: str
-):
+def test_where_no_address_is_read_none_is_told(tmp_path, command: Command, words, form: str):
     done = command(*words, form, cwd=tmp_path)
     assert done.returncode in (1, 2) or words[1:3] == ("--outcome", "success")
     assert found_secrets(tmp_path, done.stdout, done.stderr) == []
@@ -350,9 +296,7 @@ def test_what_a_log_at_an_address_is_called(text: str, name: str):
     "text",
     ["https://me:pa/ss@host/x", "https://me:12/3@host/x", "s3://a:b/c@d@lab/x", "https://:pw@/x"],
 )
-def test_a_login_that_cannot_be_told_from_the_rest_is_refused(
-    tmp_path: Path, command: Command, text: str
-):
+def test_a_login_that_cannot_be_told_is_refused(tmp_path: Path, command: Command, text: str):
     done = command("tunenet-tune", text, "-o", tmp_path)
     assert done.returncode == 2
     said = r"tunenet-tune: that is no (https|s3) address; write (/ \? # @ %|it like https://).*\n"
@@ -361,8 +305,7 @@ def test_a_login_that_cannot_be_told_from_the_rest_is_refused(
 
 @pytest.mark.parametrize("flags", [(), ("--debug",)])
 def test_a_recording_tells_no_secret(tmp_path: Path, command: Command, flags: tuple[str, ...]):
-    camera = HttpCamera(('Basic realm="x"',), lambda given: given == f"Basic {PROOF}")
-    with http_camera(camera) as served:
+    with http_camera('Basic realm="x"', proves=f"Basic {PROOF}".__eq__) as served:
         for name, login in (("good", LOGIN), ("bad", f"{USER}:{SIGNATURE}@"), ("none", "")):
             url = f"http://{login}{served.address}/video?pwd={SIGNATURE}"
             file = tmp_path / f"{name}.mcap"

@@ -245,6 +245,8 @@ def _video_stream(container: InputContainer, path: Path) -> Any:
         kinds = ", ".join(sorted({str(stream.type) for stream in container.streams})) or "nothing"
         raise LogError(f"{path}: holds no video (only {kinds}); name a video of the drop")
     stream = streams[0]
+    if stream.codec_context is None:  # FFmpeg has no decoder of what the file says it is
+        raise LogError(f"{path}: holds a video of an unknown codec", "copy it again, or convert it")
     width, height = stream.codec_context.width, stream.codec_context.height
     if not 0 < width * height <= MAX_PIXELS:
         raise LogError(

@@ -196,10 +196,13 @@ def _eval(arguments: argparse.Namespace) -> int:
         campaign=arguments.campaign,
         drawn=tuple(form for form in ("png", "rrd") if form in places),
     )
-    module = import_module(f"tunenet_logs.analysis.evaluation.studies.{study.module}")
+    module, _, function = study.module.partition(".")
+    run_study = getattr(
+        import_module(f"tunenet_logs.analysis.evaluation.studies.{module}"), function or "run"
+    )
     to_stdout = arguments.json is not None and is_stdout(arguments.json)
     parts: list[Part] = []
-    for part in module.run(order, Progress(quiet=arguments.quiet)):
+    for part in run_study(order, Progress(quiet=arguments.quiet)):
         parts.append(part)
         if not to_stdout:
             print(part.text + "\n", flush=True)

@@ -36,7 +36,7 @@ Row = dict[str, Any]  # of JSON and CSV: figures by name, None where there is no
 class Study:
     """Name, place and sizes of a study."""
 
-    module: str  # of `studies`
+    module: str  # of `studies`; after a dot its function, where that is not `run`
     summary: str  # lines of --help
     sections: Mapping[str, int] = field(default_factory=dict[str, int])  # and their own --targets
     usual: tuple[str, ...] = ()  # sections that run where none is named; () for all
@@ -75,7 +75,7 @@ STUDIES = {
         options=("pairs", "epochs"),
     ),
     "intervals": Study(
-        "intervals",
+        "positions.intervals",
         "how often the 95 % intervals of recorded drops contain the truth; part of drop",
     ),
     "positions": Study(
@@ -204,6 +204,15 @@ class Order:
         """Return the number of targets of a section: its own where nobody said another."""
         return STUDIES[study].sections[section] if self.is_full else self.targets
 
+    def pieces(
+        self, size: int, *kind: Any, targets: int | None = None, name: str = ""
+    ) -> list[Piece[Any]]:
+        """Return the cases of a kind, each with a seed and some of its numbers: see `portions`."""
+        from tunenet_logs.analysis.parallel import Piece
+
+        portions = self.portions(size, targets)
+        return [Piece((*kind, seed, some), len(some), name) for seed, some in portions]
+
     def portions(self, size: int, targets: int | None = None) -> list[tuple[int, range]]:
         """Split each seed's numbers: few a portion, so that the processes end together."""
         count = self.targets if targets is None else targets
@@ -279,7 +288,6 @@ def holds(low: np.ndarray, high: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 # ---- Tables for a terminal.
 
-
 NEGLIGIBLE = 1e-9  # an error below this is rounding of float64, and is written as none
 # An error keeps two digits: in four decimals from the first on, below it in five, and below the
 # second in scientific notation (0.000949 is .00095, 0.0000949 is 9.5e-5).
@@ -298,14 +306,14 @@ def short(error: float | None) -> str:
     return f"{error:.{4 if error >= _FOUR_DIGITS_FROM else 5}f}".removeprefix("0")
 
 
-def decimals(value: float | None, digits: int = 1, unit: str = "") -> str:
+def decimals(value: float | None, digits: int = 1) -> str:
     """Format with so many decimals; a dash for None."""
-    return "-" if value is None else f"{value:.{digits}f}{unit}"
+    return "-" if value is None else f"{value:.{digits}f}"
 
 
-def percent(fraction: float | None, digits: int = 1, unit: str = "") -> str:
+def percent(fraction: float | None, digits: int = 1) -> str:
     """Format a fraction in percent; a dash for None."""
-    return decimals(None if fraction is None else 100 * fraction, digits, unit)
+    return decimals(None if fraction is None else 100 * fraction, digits)
 
 
 def table(lines: Iterable[Sequence[str]], title: str = "") -> str:
@@ -349,7 +357,6 @@ def _cell(value: Any) -> Any:
 
 
 # ---- Files: whole or not there, marked with the study that they are of.
-
 
 _KIND = "figures"
 _MADE_BY = "tunenet_eval"  # the first column of every table: the study

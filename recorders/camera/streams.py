@@ -161,12 +161,13 @@ class PacketStream(BaseSource):
     ) -> None:
         from av.format import Flags
 
-        if not container.streams.video:
+        streams = [one for one in container.streams.video if one.codec_context is not None]
+        if not streams:
             container.close()
             raise CameraError(f"{shown}: holds no video; give the address of its video")
         super().__init__(f"camera {shown}")
         self._container = container
-        self._stream = container.streams.video[0]
+        self._stream = streams[0]
         self._codec = self._stream.codec_context.name
         self._format = _LOG_FORMATS.get(self._codec, self._codec)
         self._formats = frozenset(container.format.name.split(","))

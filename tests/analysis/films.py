@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from tests.conftest import Made, film
-from tunenet_logs.episode import Episode
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.simulated import DropOrder, FilmOrder
 from tunenet_logs.recorders.simulators.camera import PinholeCamera
@@ -34,3 +37,12 @@ def kept(episode: Episode) -> Episode:
     """The same, its frames in memory: tracking looks at them several times."""
     frames = list(episode.frames())
     return replace(episode, open_frames=lambda _topic: iter(frames))
+
+
+def film_of(frames: Iterable[Frame], info: EpisodeInfo | None = None) -> Episode:
+    """Pictures alone, in memory."""
+    shown = list(frames)
+    stamps_ns = np.array([frame.stamp_ns for frame in shown])
+    channel = Channel("video", "", "", stamps_ns, pictures=True)
+    said = info or EpisodeInfo(kind="drop")
+    return Episode(said, {}, (channel,), open_frames=lambda _topic: iter(shown))

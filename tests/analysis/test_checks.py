@@ -11,9 +11,17 @@ import numpy as np
 import pytest
 
 import tunenet_logs as tn
-from tests.analysis.drop.made import filmed, pixels, seen, track_of
-from tests.analysis.drop.test_film_fit import with_a_lost_picture
-from tests.analysis.drop.test_impact_times import HEIGHT_M, impacts, tuned
+from tests.analysis.answers import known, trace_of
+from tests.analysis.drop.made import (
+    HEIGHT_M,
+    episode_of,
+    filmed,
+    impacts,
+    pixels,
+    seen,
+    track_of,
+    with_a_lost_picture,
+)
 from tests.analysis.payload.arm_logs import ARM, CLEAN, changed, circle_log, driver, with_values
 from tests.analysis.sysid.test_own_simulator import Spring, spring_log
 from tests.conftest import real
@@ -208,7 +216,7 @@ FILM: Faults = {
 
 
 def of_times(times_s: Array, **options: Any) -> tuple[Check, ...]:
-    return tuned(times_s, TuneOptions(**options)).checks
+    return tune_episode(episode_of(times_s), TuneOptions(**options)).checks
 
 
 def of_sound(kind: str) -> tuple[Check, ...]:
@@ -370,10 +378,7 @@ def compared(values: Array) -> ComparedColumns:
 @cache
 def matched() -> SimulatorFit:
     """The fit of a user's own object to its log."""
-    trace = tn.tune(spring_log(), simulator=Spring()).trace
-    assert trace is not None
-    assert trace.fit is not None
-    return trace.fit.detail
+    return known(trace_of(tn.tune(spring_log(), simulator=Spring())).fit).detail
 
 
 def of_simulator(**changes: Any) -> tuple[Check, ...]:
@@ -381,9 +386,8 @@ def of_simulator(**changes: Any) -> tuple[Check, ...]:
 
 
 def held_out() -> HeldOut:
-    known = matched().held_out
-    assert known is not None
-    return replace(known, rms=10 * known.rms + 1)
+    told = known(matched().held_out)
+    return replace(told, rms=10 * told.rms + 1)
 
 
 def on_the_end() -> tuple[Check, ...]:
@@ -476,32 +480,25 @@ def test_the_slower_of_positions_and_torques_counts(field: str):
     assert "60 Hz" in rate.detail
 
 
-@pytest.mark.parametrize(
-    "checks",
-    [
-        lambda: with_efforts(lambda one: shaken(*one.shape)),
-        lambda: with_efforts(lambda one: one[:, [3, 0, 6, 5, 1, 2, 4]], 5),
+FIT, LIFTS = "torques fit the arm", "within what the arm lifts"
+NO_ARM = {
+    "noise": (FIT, lambda: with_efforts(lambda one: shaken(*one.shape))),
+    "other joints'": (FIT, lambda: with_efforts(lambda one: one[:, [3, 0, 6, 5, 1, 2, 4]], 5)),
+    "constant": (
+        FIT,
         lambda: with_efforts(
             lambda one: np.array([1.5, -2.25, 3.0, 4.0, 5.0, 6.0, 1.0]) + 0.003 * shaken(*one.shape)
         ),
-    ],
-    ids=["noise", "other joints'", "constant"],
-)
-def test_torques_of_no_arm_are_fatal(checks: Callable[[], list[Check]]):
-    assert failed(checks())["torques fit the arm"].fatal
+    ),
+    "made up": (LIFTS, lambda: made_up("rosbag", "/j2s7s300_driver/out/joint_torques")),
+    "made up, packed": (LIFTS, lambda: made_up("rosbag_lz4", "/j2s7s300_driver/out/joint_state")),
+}
 
 
-@pytest.mark.parametrize(
-    ("name", "topic"),
-    [
-        pytest.param("rosbag", None, marks=pytest.mark.slow),
-        ("rosbag", "/j2s7s300_driver/out/joint_torques"),
-        pytest.param("rosbag_lz4", None, marks=pytest.mark.slow),
-        ("rosbag_lz4", "/j2s7s300_driver/out/joint_state"),
-    ],
-)
-def test_made_up_torques_are_fatal(name: str, topic: str | None):
-    assert failed(made_up(name, topic))["within what the arm lifts"].fatal
+@pytest.mark.parametrize("name", NO_ARM)
+def test_torques_of_no_arm_are_fatal(name: str):
+    check, make = NO_ARM[name]
+    assert failed(make())[check].fatal
 
 
 @pytest.mark.parametrize("sds", [-9.0, 9.0])

@@ -14,7 +14,7 @@ import pytest
 
 from tests.analysis.records import HALF, drop_record, payload_record, rejected_record
 from tests.conftest import Command
-from tunenet_logs.analysis.compare import LEVEL, MAX_LOGS, Comparison, PairTest, compare, told_apart
+from tunenet_logs.analysis.compare import LEVEL, MAX_LOGS, PairTest, compare, told_apart
 from tunenet_logs.analysis.experiment import record_of as tuned_record
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.record import Estimate, Record, to_json
@@ -25,9 +25,12 @@ from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
 PAIRS = 4000  # simulated pairs: a rate of 5 % then has a standard deviation of .34 %
 
 
-def pairs_of(comparison: Comparison, name: str = "restitution") -> tuple[PairTest, ...]:
+def pairs_of(records: list[Record], name: str = "restitution") -> tuple[PairTest, ...]:
     return next(
-        one.tests for group in comparison.groups for one in group.quantities if one.name == name
+        one.tests
+        for group in compare(records).groups
+        for one in group.quantities
+        if one.name == name
     )
 
 
@@ -43,8 +46,7 @@ def test_equal_values_are_told_apart_in_five_percent(first_sd: float, second_sd:
     """And calibrated everywhere, not only there: their probabilities are even."""
     rng = np.random.default_rng(1)
     tests = [
-        pairs_of(compare([simulated(rng, 0.7, first_sd), simulated(rng, 0.7, second_sd)]))[0]
-        for _ in range(PAIRS)
+        pairs_of([simulated(rng, 0.7, sd) for sd in (first_sd, second_sd)])[0] for _ in range(PAIRS)
     ]
     wrong = sum(test.differs for test in tests)
     assert wrong / PAIRS == pytest.approx(LEVEL, abs=0.0135)  # four standard deviations
@@ -58,8 +60,8 @@ def test_among_several_equal_logs_a_difference_is_seen_in_at_most_five_percent()
     rng = np.random.default_rng(2)
     count = 1500
     wrong = sum(
-        any(test.differs for test in pairs_of(compare(logs)))
-        for logs in ([simulated(rng, 0.7, 0.002) for _ in range(5)] for _ in range(count))
+        any(test.differs for test in pairs_of([simulated(rng, 0.7, 0.002) for _ in range(5)]))
+        for _ in range(count)
     )
     assert 0.015 < wrong / count < LEVEL + 0.02
 
@@ -68,7 +70,7 @@ def test_among_several_equal_logs_a_difference_is_seen_in_at_most_five_percent()
 def test_different_values_are_told_apart_as_often_as_theory_says():
     rng = np.random.default_rng(4)
     found = sum(
-        pairs_of(compare([simulated(rng, 0.7, 0.002), simulated(rng, 0.708, 0.002)]))[0].differs
+        pairs_of([simulated(rng, truth, 0.002) for truth in (0.7, 0.708)])[0].differs
         for _ in range(PAIRS)
     )
     distance = 0.008 / (0.002 * math.sqrt(2))
@@ -78,22 +80,11 @@ def test_different_values_are_told_apart_as_often_as_theory_says():
 
 def test_tuned_drops_of_one_ball_agree_and_another_ball_stands_out():
     """From simulated logs of different heights to the verdict, with the intervals of real fits."""
-    drops = [
-        (restitution, height_m)
-        for restitution, heights in ((0.7, (0.8, 0.9, 1.0, 1.1)), (0.72, (1.0,)))
-        for height_m in heights
-    ]
-    records = [
-        tuned_record(
-            tune_episode(
-                simulate_drop(
-                    DropOrder(restitution=restitution, height_m=height_m, noise_m=0.001, seed=seed)
-                ),
-                TuneOptions(),
-            )
-        )
-        for seed, (restitution, height_m) in enumerate(drops)
-    ]
+    drops = [(0.7, 0.8), (0.7, 0.9), (0.7, 1.0), (0.7, 1.1), (0.72, 1.0)]
+    records = []
+    for seed, (restitution, height_m) in enumerate(drops):
+        order = DropOrder(restitution=restitution, height_m=height_m, noise_m=0.001, seed=seed)
+        records.append(tuned_record(tune_episode(simulate_drop(order), TuneOptions())))
     comparison = compare(records, ["a", "b", "c", "d", "other"])
     quantity = comparison.groups[0].quantities[0]
     assert told_apart(quantity, "other") == ["a", "b", "c", "d"]
@@ -104,7 +95,7 @@ def test_the_interval_that_points_at_the_other_value_counts():
     """Zou and Donner 2008, eq. 3: of the larger value its lower part, of the smaller its upper."""
     low = drop_record(estimates=(Estimate("restitution", "1", 0.70, (0.60, 0.703)),), slope=None)
     high = drop_record(estimates=(Estimate("restitution", "1", 0.71, (0.706, 0.9)),))
-    test = pairs_of(compare([high, low]))[0]
+    test = pairs_of([high, low])[0]
     assert test.difference == pytest.approx(0.01)
     assert test.interval95[0] == pytest.approx(0.01 - math.hypot(0.004, 0.003))
     assert test.interval95[1] == pytest.approx(0.01 + math.hypot(0.19, 0.10))
@@ -117,23 +108,20 @@ def test_an_interval_that_physics_cuts_is_no_certainty():
     records = [
         drop_record(estimates=(Estimate("drag", "1/m", value, ends),)) for value, ends in drags
     ]
-    test = pairs_of(compare(records), "drag")[0]
-    assert test.probability is not None
-    assert test.probability > 0.5
+    assert (pairs_of(records, "drag")[0].probability or 0) > 0.5
 
 
 def test_holms_correction():
     """Of three pairs the smallest probability counts three times, the next twice."""
     records = [drop_record(value, 0.001) for value in (0.700, 0.7033, 0.7036)]
-    tests = pairs_of(compare(records, list("abc")))
-    ordered = sorted(tests, key=lambda one: one.probability or 0)
+    ordered = sorted(pairs_of(records), key=lambda one: one.probability or 0)
     raw = [float(one.probability or 0) for one in ordered]
     seconds = max(3 * raw[0], 2 * raw[1])
     assert [one.corrected for one in ordered] == pytest.approx(
         [3 * raw[0], seconds, max(seconds, raw[2])]
     )
     held = [payload_record(0.8, 0.01, (x_m, 0.0, 0.0), 0.001) for x_m in (0.0, 0.0026)]
-    x = pairs_of(compare(held), "payload_com_x")[0]  # the components are one family
+    x = pairs_of(held, "payload_com_x")[0]  # the components are one family
     assert x.probability == pytest.approx(0.066, abs=0.002)
     assert x.corrected == pytest.approx(3 * (x.probability or 0))
 
@@ -142,24 +130,19 @@ def test_a_ball_that_bounces_better_when_slower_is_one_ball():
     """By its law both drops are the same; without it, the difference may be the speed's."""
     slow = 0.7 * (2.0 / 4.0) ** -0.06
     law: Any = {"slope": (0.06, 0.001)}
-    told = compare(
-        [
-            drop_record(0.7, 0.001, speed_m_s=4.0, slowest_m_s=1.5, **law),
-            drop_record(slow, 0.001, speed_m_s=2.0, **law),
-        ]
-    )
-    test = pairs_of(told)[0]
+    fast = drop_record(0.7, 0.001, speed_m_s=4.0, slowest_m_s=1.5, **law)
+    (test,) = pairs_of([fast, drop_record(slow, 0.001, speed_m_s=2.0, **law)])
     assert test.difference == pytest.approx(0, abs=1e-9)
     assert test.speed_m_s == 2.0
     assert not test.differs
     assert not test.caution
-    unidentifiable = compare([drop_record(0.7, speed_m_s=4.0), drop_record(slow, speed_m_s=2.0)])
-    assert pairs_of(unidentifiable)[0].differs
-    assert "may be the speed's" in pairs_of(unidentifiable)[0].caution
-    unknown = compare([drop_record(0.7, speed_m_s=None), drop_record(slow)])
-    assert "no impact speed" in pairs_of(unknown)[0].caution
-    far = compare([drop_record(0.7, speed_m_s=4.0, **law), drop_record(slow, speed_m_s=2.0, **law)])
-    assert "no bounce of drop.mcap (1) is so slow" in pairs_of(far)[0].caution
+    (test,) = pairs_of([drop_record(0.7, speed_m_s=4.0), drop_record(slow, speed_m_s=2.0)])
+    assert test.differs
+    assert "may be the speed's" in test.caution
+    (test,) = pairs_of([drop_record(0.7, speed_m_s=None), drop_record(slow)])
+    assert "no impact speed" in test.caution
+    far = drop_record(0.7, speed_m_s=4.0, **law), drop_record(slow, speed_m_s=2.0, **law)
+    assert "no bounce of drop.mcap (1) is so slow" in pairs_of([*far])[0].caution
 
 
 @pytest.mark.slow
@@ -174,7 +157,7 @@ def test_at_another_speed_equal_balls_are_told_apart_in_at_most_five_percent(cor
         value, slope = rng.multivariate_normal([0.7, 0.05], covariance)
         fast = drop_record(float(value), 0.002, slope=(float(slope), 0.01), slowest_m_s=1.0)
         other = drop_record(float(rng.normal(slow, 0.002)), 0.002, speed_m_s=2.0)
-        wrong += pairs_of(compare([fast, other]))[0].differs
+        wrong += pairs_of([fast, other])[0].differs
     assert wrong / count < LEVEL + 0.015
 
 
@@ -195,9 +178,7 @@ def test_what_means_something_else_is_never_compared():
         drop_record(estimates=(Estimate("restitution", "m", 0.1, (0.09, 0.11)),)),
     ]
     comparison = compare(records)
-    assert not [
-        test for group in comparison.groups for one in group.quantities for test in one.tests
-    ]
+    assert not any(one.tests for group in comparison.groups for one in group.quantities)
     titles = [group.title for group in comparison.groups]
     assert titles == [
         "drop, default",
@@ -208,12 +189,10 @@ def test_what_means_something_else_is_never_compared():
 
 
 def test_values_without_an_interval_and_one_recording_twice_are_not_compared():
-    bare = compare([drop_record(0.5, None), drop_record(0.9)])
-    assert not pairs_of(bare)
-    twice = compare([drop_record(0.5, sha256="ab"), drop_record(0.9, sha256="ab")])
-    assert pairs_of(twice)[0].probability is None
-    assert not pairs_of(twice)[0].differs
-    assert pairs_of(twice)[0].caution == "the same recording: not compared"
+    assert not pairs_of([drop_record(0.5, None), drop_record(0.9)])
+    (twice,) = pairs_of([drop_record(0.5, sha256="ab"), drop_record(0.9, sha256="ab")])
+    assert (twice.probability, twice.differs) == (None, False)
+    assert twice.caution == "the same recording: not compared"
 
 
 def test_the_frame_has_a_row_for_each_value_and_each_log_without_one():

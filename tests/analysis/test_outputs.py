@@ -6,10 +6,11 @@ import os
 import random
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
@@ -117,24 +118,15 @@ def out(tmp_path: Path) -> Path:
 
 def seen(folder: Path) -> dict[Path, object]:
     """All that tells whether anything in it was touched."""
-    return {path: _state(path) for path in _within(folder)}
+    return {path: state_of(path) for path in [folder, *folder.rglob("*")]}
 
 
-def _within(folder: Path) -> Iterator[Path]:
-    yield folder
-    for path in folder.iterdir():
-        if path.is_dir() and not path.is_symlink():
-            yield from _within(path)
-        else:
-            yield path
-
-
-def _state(path: Path) -> object:
+def state_of(path: Path) -> object:
     state = path.lstat()
-    is_file = path.is_file() and not path.is_symlink()
     link = str(path.readlink()) if path.is_symlink() else ""
     changed = 0 if path.name == "out" else state.st_mtime_ns  # scratch files come and go in it
-    return state.st_ino, state.st_mode, changed, link, path.read_bytes() if is_file else b""
+    data = path.read_bytes() if stat.S_ISREG(state.st_mode) else b""
+    return state.st_ino, state.st_mode, changed, link, data
 
 
 def run(command: Command, words: str, log: Path, out: Path):

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.analysis.records import drop_record, rejected_record
@@ -98,11 +99,10 @@ def tuned(tmp_path_factory: pytest.TempPathFactory, command: Command) -> Path:
 @pytest.fixture(scope="module")
 def reports(tuned: Path, command: Command) -> Path:
     """A page of each, one of all, and a comparison's."""
-    for name in (*LOGS, "still"):
-        done = command("tunenet-report", tuned / f"{name}.json", "-o", tuned / f"{name}.html")
+    pages = {f"{name}.html": tuned / f"{name}.json" for name in (*LOGS, "still")}
+    for page, source in {**pages, "all.html": tuned}.items():
+        done = command("tunenet-report", source, "-o", tuned / page)
         assert done.returncode == 0, done.stderr
-    done = command("tunenet-report", tuned, "-o", tuned / "all.html")
-    assert done.returncode == 0, done.stderr
     done = command("tunenet-compare", tuned, "--html", tuned / "compared.html")
     assert done.returncode == 0, done.stderr
     return tuned
@@ -114,10 +114,7 @@ PAGES = (*LOGS, "still", "all", "compared")
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_opens_from_the_disk_and_needs_nothing_else(
-    reports: Path,
-    browser: Any,
-    name: str,
-    width: str,
+    reports: Path, browser: Any, name: str, width: str
 ):
     path = reports / f"{name}.html"
     page = opened(browser, path, width, IMAGES_ARE_DRAWN if name != "still" else "")
@@ -131,30 +128,24 @@ def test_the_figures_of_a_page_are_those_of_the_json(reports: Path, browser: Any
     known = json.loads((reports / f"{name}.json").read_text())
     text = opened(browser, reports / f"{name}.html").text
     for parameter in known["parameters"].values():
-        values, ends = parameter["value"], parameter["interval95"]
-        if not isinstance(values, list):
-            values, ends = [values], [ends]
+        values, ends = np.ravel(parameter["value"]), np.reshape(parameter["interval95"], (-1, 2))
         for value, (low, high) in zip(values, ends, strict=True):
             assert f"{round(value, 4) + 0.0:.4f}" in text
-            assert any(f"{low:.{digits}f} to {high:.{digits}f}" in text for digits in (4, 5, 6)), (
-                low,
-                high,
-            )
+            widths = [f"{low:.{digits}f} to {high:.{digits}f}" for digits in (4, 5, 6)]
+            assert any(one in text for one in widths), widths
     for bounce in known["bounces"]:
-        row = f"{bounce['time_s']:.4f}\t{bounce['restitution']:.4f}\t"
-        assert row in text
+        assert f"{bounce['time_s']:.4f}\t{bounce['restitution']:.4f}\t" in text
         assert f"{bounce['impact_speed']:.3f}" in text
     for check in known["checks"]:
         assert check["name"] in text
         assert check["detail"].split(" (")[0] in text
     for step in known["iterations"]:
-        assert f"\t{round(next(iter(list(step.values())[1:])), 4) + 0.0:.4f}" in text
+        assert f"\t{round(list(step.values())[1], 4) + 0.0:.4f}" in text
     assert known["provenance"]["log_sha256"] in text
     assert known["provenance"]["date"] in text
     assert known["simulator"]["engine"] in text
     assert known["weights"]["sha256"] in text
-    fit = known["simulation_fit"]
-    if fit is not None:
+    if fit := known["simulation_fit"]:
         assert f"{fit['rms_percent']:.2f} % of the drop height, rms" in text
 
 
@@ -168,44 +159,9 @@ def test_the_verdict_comes_first_and_says_what_to_do(reports: Path, browser: Any
     assert "Parameters" not in rejected
 
 
-def test_a_film_shows_its_pictures_with_the_track_and_a_payload_its_torques(reports: Path):
-    film, payload = ((reports / f"{name}.html").read_text() for name in ("filmed", "payload"))
-    assert film.count("data:image/jpeg;base64,") == 2
-    assert "20 pictures from" in film
-    assert "circles where the ball was found" in film
-    assert "joint 7" in payload
-    assert "Measured and simulated torques" in payload
-    assert "data:image/jpeg" not in payload
-
-
-def test_without_the_review_the_page_says_what_is_missing(
-    tuned: Path, tmp_path: Path, command: Command
-):
-    """The review of another log counts as none."""
-    other = tuned / "light.rrd"
-    for name, words in (("filmed", "No pictures of the film"), ("payload", "No torques")):
-        path = tmp_path / f"{name}.json"
-        path.write_bytes((tuned / f"{name}.json").read_bytes())
-        for beside, why in ((None, "is not beside the JSON"), (other, "the review of another log")):
-            if beside is not None:
-                path.with_suffix(".rrd").write_bytes(beside.read_bytes())
-            out = tmp_path / f"{name}.html"
-            done = command("tunenet-report", path, "-o", out, "--overwrite")
-            assert done.returncode == 0, done.stderr
-            page = out.read_text()
-            assert words in page
-            assert why in page
-            assert "data:image/jpeg" not in page
-
-
-def test_several_tunings_have_an_overview_with_links_and_a_comparison(
-    reports: Path,
-    browser: Any,
-):
-    script = "[...document.querySelectorAll('nav a')].length == 4 && "
-    script += (
-        "[...document.querySelectorAll('nav a')].every(one => document.querySelector(one.hash))"
-    )
+def test_several_tunings_have_an_overview_with_links_and_a_comparison(reports: Path, browser: Any):
+    links = "[...document.querySelectorAll('nav a')]"
+    script = f"{links}.length == 4 && {links}.every(one => document.querySelector(one.hash))"
     text = opened(browser, reports / "all.html", script=script).text
     assert "4 tunings · 3 ok · 1 rejected" in text
     assert "restitution: they differ" in text
@@ -214,25 +170,73 @@ def test_several_tunings_have_an_overview_with_links_and_a_comparison(
     assert re.search(r"Without a value\n.*still\.csv", compared, re.DOTALL)
 
 
-def test_a_page_is_marked_and_the_same_each_time(reports: Path, tmp_path: Path, command: Command):
-    again = tmp_path / "again.html"
-    assert command("tunenet-report", reports / "filmed.json", "-o", again).returncode == 0
-    assert again.read_bytes() == (reports / "filmed.html").read_bytes()
-    assert re.match(
-        "<!doctype html>\n<!-- tunenet-logs page of [^ ]+@[0-9a-f]{32} -->", again.read_text()
-    )
+def written(command: Command, *words: object) -> str:
+    """The page that a report writes."""
+    done = command("tunenet-report", *words, "--overwrite", "--quiet")
+    assert done.returncode == 0, done.stderr
+    return next(Path(str(one)).read_text() for one in words if str(one).endswith(".html"))
+
+
+def test_a_film_shows_its_pictures_a_payload_its_torques_and_a_page_is_the_same_each_time(
+    reports: Path, tmp_path: Path, command: Command
+):
+    film, payload = ((reports / f"{name}.html").read_text() for name in ("filmed", "payload"))
+    assert film.count("data:image/jpeg;base64,") == 2
+    assert "20 pictures from" in film
+    assert "circles where the ball was found" in film
+    assert "joint 7" in payload
+    assert "Measured and simulated torques" in payload
+    assert "data:image/jpeg" not in payload
+    assert written(command, reports / "filmed.json", "-o", tmp_path / "again.html") == film
+    assert re.match("<!doctype html>\n<!-- tunenet-logs page of [^ ]+@[0-9a-f]{32} -->", film)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("filmed", "No pictures of the film"), ("payload", "No torques")]
+)
+def test_without_the_review_the_page_says_what_is_missing(
+    tuned: Path, tmp_path: Path, command: Command, name: str, words: str
+):
+    """The review of another log counts as none."""
+    path = Path(shutil.copy(tuned / f"{name}.json", tmp_path))
+    for why in ("is not beside the JSON", "the review of another log"):
+        page = written(command, path, "-o", tmp_path / "a.html")
+        assert words in page
+        assert why in page
+        assert "data:image/jpeg" not in page
+        shutil.copy(tuned / "light.rrd", path.with_suffix(".rrd"))
+
+
+SPOILT: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda _: b"",
+    "noise": lambda _: bytes(range(256)) * 40,
+    "half": lambda whole: whole[: len(whole) // 2],
+    "changed": lambda whole: (
+        whole[: len(whole) // 3] + bytes(5000) + whole[len(whole) // 3 + 5000 :]
+    ),
+}
+
+
+@pytest.mark.parametrize("spoil", SPOILT)
+def test_a_review_that_is_spoilt_leaves_a_page_without_pictures(
+    tmp_path: Path, tuned: Path, command: Command, spoil: str
+):
+    path = Path(shutil.copy(tuned / "filmed.json", tmp_path))
+    path.with_suffix(".rrd").write_bytes(SPOILT[spoil]((tuned / "filmed.rrd").read_bytes()))
+    page = written(command, path, "-o", tmp_path / "page.html")
+    assert "Observed and simulated" in page
+    if spoil != "changed":  # damage within a picture may leave the others
+        assert "No pictures of the film: filmed.rrd" in page
 
 
 def test_a_campaign_has_its_rates_balls_and_attempts(
     tmp_path: Path, browser: Any, command: Command
 ):
-    folder = ROOT / "sample_logs" / "campaign"
-    for log in folder.glob("*.mcap"):
-        (tmp_path / log.name).write_bytes(log.read_bytes())
+    for log in (ROOT / "sample_logs" / "campaign").glob("*.mcap"):
+        shutil.copy(log, tmp_path)
     command("tunenet-tune", *sorted(tmp_path.glob("drop_*.mcap")), "--quiet")
     out = tmp_path / "campaign.html"
-    done = command("tunenet-report", tmp_path, "-o", out, "--quiet", "--jobs", 1)
-    assert done.returncode == 0, done.stderr
+    written(command, tmp_path, "-o", out, "--jobs", 1)
     reviewed = command("tunenet-review", tmp_path, "-o", tmp_path / "c.rrd", "--quiet", "--jobs", 1)
     page = opened(browser, out, "phone", IMAGES_ARE_DRAWN)
     for line in reviewed.stdout.splitlines():
@@ -252,19 +256,16 @@ def test_a_campaign_has_its_rates_balls_and_attempts(
     ],
 )
 def test_logs_that_others_made_have_a_page(
-    tmp_path: Path,
-    browser: Any,
-    command: Command,
-    name: str,
+    tmp_path: Path, browser: Any, command: Command, name: str
 ):
-    log = real(name)
+    log, out = real(name), tmp_path / "page.html"
     command("tunenet-tune", log, "-o", tmp_path, "--quiet")
-    out = tmp_path / "page.html"
-    done = command("tunenet-report", tmp_path / f"{log.stem}.json", "-o", out)
-    assert done.returncode == 0, done.stderr
+    written(command, tmp_path / f"{log.stem}.json", "-o", out)
     for width in WIDTHS:
-        page = opened(browser, out, width)
-        assert page.text.startswith(log.name)
+        assert opened(browser, out, width).text.startswith(log.name)
+
+
+# ---- What a stranger wrote into a tuning
 
 
 INJECTED = (
@@ -288,20 +289,24 @@ NOTHING_FOREIGN = (
 )
 
 
+def fields() -> dict[str, Any]:
+    """The JSON of a drop."""
+    return json.loads(to_json(drop_record(0.7, slope=(0.05, 0.01), slowest_m_s=2.0)))
+
+
 def hostile(word: str) -> dict[str, Any]:
     """A tuning whose every text is somebody else's word."""
-    fields = json.loads(to_json(drop_record(0.7, slope=(0.05, 0.01), slowest_m_s=2.0)))
     check = {"name": word, "passed": False, "detail": word, "advice": word}
     known = {"value": 1.0, "interval95": [0.5, 1.5], "unit": word}
     told = dict.fromkeys(("version", "log_sha256", "date", "engine"), word)
     heights = {"observed_m": [1.0, 0.0, 0.5], "simulated_m": [1.0, None, 0.5]}
     return {
-        **fields,
+        **fields(),
         **dict.fromkeys(("log", "reason", "ball", "topic", "method"), word),
         "verdict": "suspect",
         "warnings": [word, word],
         "unidentifiable": [word],
-        "parameters": {**fields["parameters"], word: known},
+        "parameters": {**fields()["parameters"], word: known},
         "iterations": [{"k": 0, word: 0.0}, {"k": 1, word: 1.0}],
         "checks": [check, check],
         "cross_check": {"method": word, "value": 0.7, "agrees": False},
@@ -320,17 +325,10 @@ def write(path: Path, fields: dict[str, Any]) -> Path:
 
 
 @pytest.mark.parametrize("number", [1, 7])  # all of them: the next test
-def test_words_of_others_are_words(
-    tmp_path: Path,
-    browser: Any,
-    command: Command,
-    number: int,
-):
-    word = INJECTED[number]
+def test_words_of_others_are_words(tmp_path: Path, browser: Any, command: Command, number: int):
+    word, out = INJECTED[number], tmp_path / "page.html"
     path = write(tmp_path / "hostile.json", hostile(word))
-    out = tmp_path / "page.html"
-    done = command("tunenet-report", path, "-o", out, "--pdf", tmp_path / "figures")
-    assert done.returncode == 0, done.stderr
+    written(command, path, "-o", out, "--pdf", tmp_path / "figures")
     for width in WIDTHS:
         page = opened(browser, out, width, NOTHING_FOREIGN)
         if word.isprintable() and len(word) < 100:
@@ -343,26 +341,24 @@ def test_hostile_tunings_beside_each_other(tmp_path: Path, browser: Any, command
     for number, word in enumerate([*INJECTED, INJECTED[0]]):
         write(tmp_path / f"{number}.json", hostile(word))
     out, compared = tmp_path / "page.html", tmp_path / "compared.html"
-    assert command("tunenet-report", tmp_path, "-o", out).returncode == 0
+    written(command, tmp_path, "-o", out)
     done = command("tunenet-compare", tmp_path, "--html", compared, "--png", tmp_path / "c.png")
     assert done.returncode == 0, done.stderr
-    assert "\x1b" not in done.stdout
-    assert "\u202e" not in done.stdout
+    assert not {"\x1b", "\u202e"} & set(done.stdout)
     for path in (out, compared):
         opened(browser, path, "phone", NOTHING_FOREIGN)
 
 
 @pytest.mark.parametrize("value", [1e308, -1e308, 5e-324])
 def test_numbers_that_no_tuning_has(tmp_path: Path, command: Command, value: float):
-    fields = json.loads(to_json(drop_record(0.7, slope=(0.05, 0.01), slowest_m_s=2.0)))
-    fields["parameters"]["restitution"] = {"value": value, "interval95": [-abs(value), abs(value)]}
-    fields["parameters"]["drag"] = {"value": value, "interval95": None, "unit": "1/m"}
-    fields["iterations"] = [{"k": 0, "restitution": -value}, {"k": 1, "restitution": value}]
-    fields["bounces"] = [
-        {"restitution": value, "interval95": None, "impact_speed": abs(value), "time_s": value}
-    ] * 3
-    first = write(tmp_path / "a.json", fields)
-    second = write(tmp_path / "b.json", {**fields, "log": "other"})
+    known = fields()
+    known["parameters"]["restitution"] = {"value": value, "interval95": [-abs(value), abs(value)]}
+    known["parameters"]["drag"] = {"value": value, "interval95": None, "unit": "1/m"}
+    known["iterations"] = [{"k": 0, "restitution": -value}, {"k": 1, "restitution": value}]
+    bounce = {"restitution": value, "interval95": None, "impact_speed": abs(value)}
+    known["bounces"] = [bounce | {"time_s": value}] * 3
+    first = write(tmp_path / "a.json", known)
+    second = write(tmp_path / "b.json", {**known, "log": "other"})
     out = tmp_path / "page.html"
     for words in (("tunenet-report", first, "-o", out), ("tunenet-compare", first, second)):
         done = command(*words)
@@ -371,41 +367,10 @@ def test_numbers_that_no_tuning_has(tmp_path: Path, command: Command, value: flo
     assert out.stat().st_size < MAX_BYTES
 
 
-def test_very_many_rows_are_counted(tmp_path: Path, browser: Any, command: Command):
-    record = rejected_record(log="many.mcap")
-    fields = json.loads(to_json(record))
+def test_very_many_rows_are_counted(tmp_path: Path, command: Command):
     check = {"name": "c" * 900, "passed": False, "detail": "(" * 900, "advice": "a" * 900}
-    fields["checks"] = [check] * 1200
-    fields["warnings"] = [f"w{number}" for number in range(5000)]
-    out = tmp_path / "page.html"
-    path = write(tmp_path / "many.json", fields)
-    assert command("tunenet-report", path, "-o", out).returncode == 0
-    page = opened(browser, out, "phone")
-    assert "1100 more checks, 4900 more warnings" in page.text
-
-
-@pytest.mark.parametrize(
-    "spoil", ["empty", "noise", "half", "changed"], ids=lambda name: f"review-{name}"
-)
-def test_a_review_that_is_spoilt_leaves_a_page_without_pictures(
-    tmp_path: Path, tuned: Path, command: Command, spoil: str
-):
-    tuning, review = tmp_path / "filmed.json", tmp_path / "filmed.rrd"
-    tuning.write_bytes((tuned / "filmed.json").read_bytes())
-    whole = (tuned / "filmed.rrd").read_bytes()
-    middle = len(whole) // 3
-    review.write_bytes(
-        {
-            "empty": b"",
-            "noise": bytes(range(256)) * 40,
-            "half": whole[: len(whole) // 2],
-            "changed": whole[:middle] + bytes(5000) + whole[middle + 5000 :],
-        }[spoil]
-    )
-    out = tmp_path / "page.html"
-    done = command("tunenet-report", tuning, "-o", out)
-    assert done.returncode == 0, done.stderr
-    page = out.read_text()
-    assert "Observed and simulated" in page
-    if spoil != "changed":  # damage within a picture may leave the others
-        assert "No pictures of the film: filmed.rrd" in page
+    told = {"checks": [check] * 1200, "warnings": [f"w{number}" for number in range(5000)]}
+    known = json.loads(to_json(rejected_record(log="many.mcap"))) | told
+    page = written(command, write(tmp_path / "many.json", known), "-o", tmp_path / "page.html")
+    assert "1100 more checks, 4900 more warnings" in page
+    assert len(page) < MAX_BYTES

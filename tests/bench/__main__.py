@@ -51,10 +51,8 @@ SECTIONS = {
                        {"count": 50_000, "rounds": 5}, {"count": 5000, "rounds": 2}),
     "remote": Section("speed", "bytes that a bucket sends beside those of its logs",
                       {"count": 100}, {"count": 10}),
-    "tracking": Section("speed", "tuning a clip beside real time; memory; tracked centres",
-                        {"count": 12}, {"count": 2}),
-    "video": Section("speed", "errors of filmed drops, COUNT of each seed",
-                     {"count": 60, "seeds": 3}, {"count": 4, "seeds": 1}),
+    "memory": Section("speed", "memory for a clip, and for a longer one",
+                      {"seconds": 5.0, "longer": 10}, {"longer": 3}),
     "arm": Section("speed", "an arm's rollout beside inverse dynamics", {"rounds": 30},
                    {"rounds": 3}),
     "circle": Section("speed", "the shipped circle beside one made anew, which --out keeps",
@@ -66,10 +64,6 @@ SECTIONS = {
     "live_joints": Section("recordings", "1 kHz over ROS 2, the recorder stopped twice: missing",
                            {"seconds": 60.0, "kept": 10, "buffer": 0, "best_effort": False},
                            {"seconds": 4.0}),
-    "network_load": Section("recordings", "4K and 1080p over RTSP on a busy machine: lost, lag",
-                            {"seconds": 60.0}, {"seconds": 8.0}),
-    "network_films": Section("recordings", "codecs over RTSP in bad networks: pictures, stamps",
-                             {"seconds": 5.0}, {"seconds": 1.0}),
     "damage": Section("robustness", "single bits flipped and cuts: what was not said",
                       {"flips": 5000, "seed": 0}, {"flips": 100}),
     "hostile": Section("robustness", "CPU and memory of small files that claim much", {"only": ""},
@@ -79,8 +73,7 @@ SECTIONS = {
     "ownership": Section("robustness", "two writers to one name, and files taken away",
                          {"tries": 2000, "moments": 100, "seed": 0}, {"tries": 24, "moments": 5}),
     "comings": Section("robustness", "cameras that are late, cut off, frozen, killed",
-                       {"runs": 30, "tuned": 30, "jobs": 4, "only": "", "late_s": 5.0},
-                       {"runs": 2, "tuned": 0, "late_s": 1.0}),
+                       {"runs": 30, "jobs": 4, "late_s": 5.0}, {"runs": 2, "late_s": 1.0}),
 }  # fmt: skip
 USUAL = ("start_up", "films", "state_logs", "batches", "rollouts", "training")
 OPTIONS = {name: value for one in SECTIONS.values() for name, value in one.full.items()}

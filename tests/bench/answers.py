@@ -22,6 +22,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
@@ -33,7 +34,8 @@ import numpy as np
 from tqdm import tqdm
 
 from tests import strangers
-from tests.bench import BIN, REAL, SAMPLES
+from tests.bench import BIN, REAL, SAMPLES, kept_or_compared
+from tunenet_logs.analysis.evaluation.study import listed
 from tunenet_logs.analysis.evaluation.worlds.ball import RealBall, drop_ball
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.cli import main as record
@@ -58,10 +60,10 @@ class Answer:
     intervals: Mapping[str, list | None]  # 95 %, likewise; None where none was given
     failed: Sequence[str]  # names of the checks that it did not pass
 
-    def half_width(self, name: str) -> Array | None:
-        """Return half the width of a parameter's interval, one for each of its numbers."""
+    def half_widths(self, name: str) -> list[float]:
+        """Return half the width of a parameter's interval, for each of its numbers; [] without."""
         ends = self.intervals[name]
-        return None if ends is None else np.ptp(np.reshape(ends, (-1, 2)), axis=1) / 2
+        return [] if ends is None else (np.ptp(np.reshape(ends, (-1, 2)), axis=1) / 2).tolist()
 
     @property
     def error(self) -> float:
@@ -85,69 +87,56 @@ Named = Mapping[str, Answer]
 
 def compared(before: Named, after: Named) -> tuple[str, bool]:
     """Tabulate the pairs and the changes, log by log; return whether there are none."""
-    lines, changes = [_HEAD], []
+    rows, changes = [], []
     for group in dict.fromkeys(one.group for one in before.values()):
         first = {log: one for log, one in before.items() if one.group == group}
-        found = _changes(first, after)
-        lines.append(_line(group, first, after, {log for log, _ in found}))
+        found = list(_changes(first, after))
         changes += [f"{log}: {text}" for log, text in found]
-    return "\n".join([*lines, "", *(changes or ["no change"])]), not changes
+        errors, covers = (
+            np.array([[getattr(one[log], what) for log in first] for one in (first, after)])
+            for what in ("error", "covers")
+        )
+        known = errors[:, np.isfinite(errors).all(axis=0)]
+        rows.append({
+            "logs": group,
+            "of": len(first),
+            "changed": len({log for log, _ in found}),
+            "error before": _mean(known[0]),
+            "error after": _mean(known[1]),
+            "difference": _mean(known[1] - known[0]),
+            "interval holds before": _mean(covers[0], 100.0),
+            "holds after": _mean(covers[1], 100.0),
+        })  # fmt: skip
+    return "\n".join([listed(rows), "", *(changes or ["no change"])]), not changes
 
 
-def _changes(before: Named, after: Named) -> list[tuple[str, str]]:
+def _changes(before: Named, after: Named) -> Iterator[tuple[str, str]]:
     """List what differs in one group: verdicts, failed checks, values."""
-    usual = {
-        name: float(np.median(widths))
-        for name in {name for one in before.values() for name in one.values}
-        if (widths := [w for one in before.values() for w in _widths(one, name)])
-    }
-    found = []
+    widths: dict[str, list[float]] = defaultdict(list)
+    for one in before.values():
+        for name in one.values:
+            widths[name] += one.half_widths(name)
+    usual = {name: float(np.median(of)) for name, of in widths.items() if of}
     for log, old in before.items():
         new = after[log]
         if old.verdict != new.verdict:
-            found.append((log, f"{old.verdict} is {new.verdict} now: {new.reason or old.reason}"))
-        elif list(old.failed) != list(new.failed):
-            found.append((log, f"failed {list(old.failed)}, now {list(new.failed)}"))
+            yield log, f"{old.verdict} is {new.verdict} now: {new.reason or old.reason}"
+        else:
+            if list(old.failed) != list(new.failed):
+                yield log, f"failed {list(old.failed)}, now {list(new.failed)}"
+            if old.values.keys() != new.values.keys():
+                yield log, f"told {sorted(old.values)}, now {sorted(new.values)}"
         for name in old.values.keys() & new.values.keys():
             first, second = (np.ravel(one.values[name]) for one in (old, new))
-            limit = old.half_width(name)
-            limit = usual.get(name, _EXACT / MOVED) if limit is None else limit
+            limit = np.array(old.half_widths(name) or usual.get(name, _EXACT / MOVED))
             if len(first) != len(second) or (np.abs(second - first) > MOVED * limit).any():
                 told = [", ".join(f"{value:.6g}" for value in one) for one in (first, second)]
-                found.append((log, f"{name} {told[0]} is {told[1]} now"))
-        if old.verdict == new.verdict and old.values.keys() != new.values.keys():
-            found.append((log, f"told {sorted(old.values)}, now {sorted(new.values)}"))
-    return found
-
-
-def _widths(answer: Answer, name: str) -> Array:
-    found = answer.half_width(name) if name in answer.values else None
-    return np.zeros(0) if found is None else found
-
-
-_HEAD = (
-    f"{'logs':<26}{'':>5}{'changed':>9}   {'mean error before':<20}{'after':<20}"
-    f"{'difference':<20}{'interval holds before':<24}after"
-)
-
-
-def _line(group: str, before: Named, after: Named, changed: set[str]) -> str:
-    errors, covers = (
-        np.array([[getattr(one[log], what) for log in before] for one in (before, after)])
-        for what in ("error", "covers")
-    )
-    paired = errors[:, np.isfinite(errors).all(axis=0)]
-    told = [_mean(one) for one in (*paired, paired[1] - paired[0])]
-    held = [_mean(one[np.isfinite(one)], 100.0) for one in covers]
-    count = len(changed & before.keys())
-    return (
-        f"{group:<26}{len(before):>5}{count:>9}   {told[0]:<20}{told[1]:<20}{told[2]:<20}"
-        f"{held[0]:<24}{held[1]}"
-    ).rstrip()
+                yield log, f"{name} {told[0]} is {told[1]} now"
 
 
 def _mean(values: Array, scale: float = 1.0) -> str:
-    """Format a mean with its standard error; in percent for a scale of 100."""
+    """Format the mean of what is known with its standard error; in percent for a scale of 100."""
+    values = values[np.isfinite(values)]
     if len(values) < 2:
         return "-"
     mean, error = values.mean() * scale, values.std(ddof=1) / np.sqrt(len(values)) * scale
@@ -385,17 +374,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--write", type=Path, metavar="DIR", help="a new folder, outside the tree")
-    what.add_argument("--compare", type=Path, metavar="DIR", help="one that --write made")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
-    arguments = parser.parse_args()
-    if arguments.write is None:
-        return 0 if compare(arguments.compare, arguments.jobs) else 1
-    if arguments.write.exists():
-        parser.error(f"{arguments.write} is there already; choose a new folder")
-    write(arguments.write, arguments.jobs)
-    return 0
+    return kept_or_compared(
+        parser,
+        lambda folder, asked: write(folder, asked.jobs),
+        lambda folder, asked: compare(folder, asked.jobs),
+    )
 
 
 if __name__ == "__main__":

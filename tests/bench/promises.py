@@ -50,7 +50,7 @@ from mcap.reader import make_reader
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from tests.bench import ROOT, SAMPLES
+from tests.bench import ROOT, SAMPLES, SHARED, kept_or_compared
 from tests.clips import clicks, write_clip
 from tests.recorders.films import film
 from tests.recorders.mjpeg_camera import playing
@@ -61,10 +61,6 @@ from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import TuneNetError
 from tunenet_logs.reader import read_episode
 
-# Recordings and cases of others, where they are there.
-SHARED = next(
-    (one / "shared" for one in ROOT.parents if (one / "shared" / "real").is_dir()), ROOT / "shared"
-)
 SCRIPTS: dict[str, str] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
 INPUTS, JOBS = "inputs", 2  # at a time
 SETTINGS = {  # of all that is started
@@ -859,19 +855,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--write", type=Path, metavar="DIR", help="a new folder, outside the tree")
-    what.add_argument("--compare", type=Path, metavar="DIR", help="one that --write made")
     parser.add_argument("--part", action="append", choices=PARTS, help="may be said again")
-    arguments = parser.parse_args()
-    chosen = {name: PARTS[name] for name in arguments.part or PARTS}
-    os.environ.update(SETTINGS)
-    if arguments.write is None:
-        return 0 if compare(arguments.compare.resolve(), chosen) else 1
-    if arguments.write.exists():
-        parser.error(f"{arguments.write} is there already; choose a new folder")
-    write(arguments.write.resolve(), chosen)
-    return 0
+
+    def chosen(asked: argparse.Namespace) -> dict[str, Part]:
+        os.environ.update(SETTINGS)
+        return {name: PARTS[name] for name in asked.part or PARTS}
+
+    return kept_or_compared(
+        parser,
+        lambda folder, asked: write(folder, chosen(asked)),
+        lambda folder, asked: compare(folder, chosen(asked)),
+    )
 
 
 if __name__ == "__main__":

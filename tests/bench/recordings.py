@@ -1,31 +1,19 @@
-"""Measure how logs are read, written, recorded in real time: sections of `python -m tests.bench`.
-
-Those of a network camera need GStreamer's server (Debian's gir1.2-gst-rtsp-server-1.0 and
-python3-gi) and FFmpeg.
-"""
+"""Measure reading, writing and recording in real time: sections of `python -m tests.bench`."""
 
 from __future__ import annotations
 
-import math
 import os
-import queue
-import random
-import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import av
 import cv2
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -33,9 +21,7 @@ from rosbags.highlevel import AnyReader
 
 from tests.bench import ROOT, Figures, best_s
 from tests.recorders.live_recorder import JOINTS, NAMES, PICTURES
-from tests.recorders.live_wait import wait_until
 from tests.recorders.mjpeg_camera import picture, playing
-from tests.recorders.programs import file_pictures, gst_rtsp_server
 from tests.recorders.ros2_publisher import NAMES as ARM_NAMES
 from tests.recorders.ros2_publisher import STATES, expect, publishing, values_of
 from tunenet_logs import messages
@@ -123,7 +109,7 @@ def writing(count: int, rounds: int) -> Figures:
 
     sync, os.fdatasync = os.fdatasync, lambda _file: None  # the disk is not what is measured
     with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "a.mcap"
+        log, bare = Path(folder) / "a.mcap", Path(folder) / "bare.mcap"
         for name, many, kind, put, make in (
             ("joint states", count, messages.JOINT_STATE, put_state, partial(_state, states)),
             ("JPEG frames", max(count // 16, 1), messages.COMPRESSED_IMAGE, put_frame,
@@ -131,7 +117,7 @@ def writing(count: int, rounds: int) -> Figures:
         ):  # fmt: skip
             works = [partial(write, put, many, live=live) for live in (True, False)]
             live_s, file_s, bare_s = best_s(
-                [*works, partial(_write_bare, log, kind, make, many)], rounds
+                [*works, partial(_write_bare, bare, kind, make, many)], rounds
             )
             yield f"{name}, live: a second", many / live_s
             yield f"{name}, live: speed over that of bare mcap", bare_s / live_s
@@ -292,197 +278,3 @@ def live_joints(seconds: float, kept: int, buffer: int, *, best_effort: bool) ->
     yield "missing", count - len(np.unique(numbers[is_right]))
     yield "bad: messages that are not what was sent", int(np.count_nonzero(~is_right))
     yield from _told("recorder", done, wall_s)
-
-
-# ---- A camera on the network.
-
-# GStreamer's codec and FFmpeg's encoder of a film, and how it is told.
-CODERS = {
-    "h264": ("h264", "libx264", ("-bf", "0")),
-    "h264, B-frames": ("h264", "libx264", ("-bf", "2")),
-    "h265": ("h265", "libx265", ("-x265-params", "log-level=none:bframes=0")),
-    "h265, B-frames": ("h265", "libx265", ("-x265-params", "log-level=none:bframes=3")),
-    "mjpeg": ("jpeg", "mjpeg", ("-pix_fmt", "yuvj420p", "-huffman", "default", "-q:v", "5")),
-}
-# How a film comes, and when a network passes on what came so long after the first [s].
-WAYS: dict[str, Callable[[float], float] | None] = {
-    "udp": None,
-    "tcp": None,
-    "tcp, jitter": lambda since_s: since_s + random.uniform(0, 0.04),
-    "tcp, bursts": lambda since_s: math.ceil(since_s / 0.1) * 0.1,
-    "tcp, stall": lambda since_s: max(since_s, 4.0) if since_s > 2.0 else since_s,
-}
-_SPARE_S = 1e-4  # beyond a film's last picture, for its recording: stamps of RTP are rounded
-
-
-def network_load(seconds: float) -> Figures:
-    """Record 4K at 30 Hz and 1080p at 60 Hz, H.264, while another process keeps a core busy."""
-    for name, size, rate_hz, bits in (
-        ("4K", "3840x2160", 30, "16M"),
-        ("1080p", "1920x1080", 60, "8M"),
-    ):
-        with tempfile.TemporaryDirectory() as folder:
-            short, long, log = (Path(folder) / one for one in ("a.mp4", "long.mp4", "a.mcap"))
-            _encode(short, size, rate_hz, 4, "libx264", "-bf", "0", "-b:v", bits)
-            looped = "-stream_loop", "-1", "-i", short, "-t", f"{seconds:g}", "-c", "copy"
-            _ffmpeg(*looped, long)
-            with (
-                gst_rtsp_server(file_pictures(long)) as address,
-                subprocess.Popen([sys.executable, "-c", "while True: pass"]) as busy,
-            ):
-                process = _recorder(address, log, seconds - 1 / rate_hz + _SPARE_S)
-                active = log.with_name(f"{log.name}.active")
-                wait_until(lambda: active.exists() and active.stat().st_size > 500_000, "pictures")  # noqa: B023
-                time.sleep(seconds / 4)
-                early_s, early_mib = _used(process.pid)
-                time.sleep(seconds / 2)
-                late_s, late_mib = _used(process.pid)
-                yield f"{name}: last line", _last_line(process)
-                busy.kill()
-            with av.open(str(long)) as container:
-                sent = sum(bool(packet.size) for packet in container.demux(video=0))
-            info = read_episode(log).info
-            yield f"{name}: pictures sent", sent
-            yield f"{name}: lost", sent - info.counts["written"]
-            yield f"{name}: longest lag [s]", str(info.notes.get("longest_lag_s", "under 0.5"))
-            cpu_ms = 1e3 * (late_s - early_s) / (rate_hz * seconds / 2)
-            yield f"{name}: processor a picture, after the start [ms]", cpu_ms
-            yield f"{name}: memory after a quarter [MiB]", early_mib
-            yield f"{name}: memory after three [MiB]", late_mib
-
-
-def network_films(seconds: float) -> Figures:
-    """Record codecs at 30 to 120 Hz over UDP, TCP, and TCP in a network that delays."""
-    for name, (codec, coder, options) in CODERS.items():
-        for rate_hz in (30, 60, 120):
-            with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor() as pool:
-                path = Path(folder) / "a.mov"
-                _encode(path, "640x360", rate_hz, seconds, coder, *options)
-                length_s = seconds - 1 / rate_hz + _SPARE_S
-                jobs = [pool.submit(_come, path, codec, length_s, way) for way in WAYS]
-                for way, job in zip(WAYS, jobs, strict=True):
-                    for what, value in job.result().items():
-                        yield f"{name}, {rate_hz} Hz, {way}: {what}", value
-
-
-def _encode(path: Path, size: str, rate_hz: int, seconds: float, coder: str, *options: str) -> None:
-    """Encode a moving test picture with noise as cameras do: a key frame every second."""
-    scene = f"testsrc2=size={size}:rate={rate_hz}:duration={seconds:g},noise=alls=12:allf=t"
-    words = "-f", "lavfi", "-i", scene, "-c:v", coder, "-preset", "ultrafast"
-    _ffmpeg(*words, "-g", rate_hz, "-pix_fmt", "yuv420p", *options, path)
-
-
-def _ffmpeg(*words: object) -> None:
-    program = shutil.which("ffmpeg")
-    if program is None:
-        sys.exit("ffmpeg is not installed; it makes the films")
-    subprocess.run([program, "-v", "error", "-y", *map(str, words)], check=True)
-
-
-def _recorder(address: str, log: Path, seconds: float, *options: str) -> subprocess.Popen[str]:
-    """Record for as long as the film is, which the server begins anew for each caller."""
-    words = ["--camera", f"rtsp://{address}", "-o", str(log), *options]
-    return subprocess.Popen(
-        [*RECORD, *words, "--quiet", "--seconds", str(seconds)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-
-
-def _last_line(process: subprocess.Popen[str]) -> str:
-    out, err = process.communicate()
-    return (out.strip() or err.strip()).splitlines()[-1]
-
-
-def _used(process: int) -> tuple[float, float]:
-    """Return processor time [s] and memory [MiB] of a process so far."""
-    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
-    ticks = int(fields[11]) + int(fields[12])
-    return ticks / os.sysconf("SC_CLK_TCK"), pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
-def _come(path: Path, codec: str, seconds: float, way: str) -> dict[str, float | str]:
-    """Record a film that comes in such a way; compare pictures and stamps with its own."""
-    log = path.with_name(f"{way}.mcap")
-    with gst_rtsp_server(file_pictures(path, codec)) as address, slowed(address, way) as near:
-        line = _last_line(_recorder(near, log, seconds, "--rtsp-transport", way[:3]))
-    same, stamps_ns, film_s = 0, [], []
-    with av.open(str(path)) as container:
-        frames = read_episode(log).frames()
-        for one in container.decode(video=0):
-            film_s.append(one.time or 0.0)
-            if (frame := next(frames, None)) is not None:
-                stamps_ns.append(frame.stamp_ns)
-                same += _pixels(frame) == one.to_ndarray(format="rgb24").tobytes()
-    told = {"pictures of the film": len(film_s), "the same": same, "last line": line}
-    if not stamps_ns:
-        return told
-    stamps_s = (np.array(stamps_ns[: len(film_s)]) - stamps_ns[0]) * 1e-9
-    off_ms = 1e3 * (stamps_s - (np.array(film_s[: len(stamps_s)]) - film_s[0]))
-    return told | {"stamps off by [ms]": float(np.ptp(off_ms) / 2)}
-
-
-def _pixels(frame: Frame) -> bytes:
-    """Decode a log's picture, as FFmpeg does a film's."""
-    if frame.encoding != "jpeg":
-        return frame.data
-    decoder = av.CodecContext.create("mjpeg", "r")
-    assert isinstance(decoder, av.VideoCodecContext)
-    return decoder.decode(av.Packet(frame.data))[0].to_ndarray(format="rgb24").tobytes()
-
-
-@contextmanager
-def slowed(address: str, way: str) -> Iterator[str]:
-    """Open the same address by way of such a network: it delays what the server sends, in a process
-    of its own, and loses nothing.
-    """
-    if WAYS[way] is None:
-        yield address
-        return
-    host, _, path = address.partition("/")
-    code = f"from tests.bench.recordings import delay; delay({host.rpartition(':')[2]}, {way!r})"
-    words = [sys.executable, "-c", code]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=ROOT)
-    try:
-        assert process.stdout is not None
-        yield f"127.0.0.1:{int(process.stdout.readline())}/{path}"
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def delay(port: int, way: str) -> None:
-    """Pass one connection on to a port of this machine, and say at which port."""
-    how = WAYS[way]
-    assert how is not None
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        print(listener.getsockname()[1], flush=True)
-        caller, _ = listener.accept()
-    server = socket.create_connection(("127.0.0.1", port))
-    for one in (caller, server):
-        one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    held: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
-
-    def pass_on_at_once() -> None:
-        with suppress(OSError):
-            while data := caller.recv(65536):
-                server.sendall(data)
-            server.shutdown(socket.SHUT_WR)
-
-    def hold_back() -> None:
-        """Queue what the server sends with its due time; nothing in the end."""
-        start_s, data = time.monotonic(), b"any"
-        while data:
-            try:
-                data = server.recv(65536)
-            except OSError:
-                data = b""
-            held.put((start_s + how(time.monotonic() - start_s), data))
-
-    for work in (pass_on_at_once, hold_back):
-        threading.Thread(target=work, daemon=True).start()
-    with suppress(OSError):
-        while (piece := held.get())[1]:
-            time.sleep(max(0.0, piece[0] - time.monotonic()))
-            caller.sendall(piece[1])
-    caller.close()

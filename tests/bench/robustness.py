@@ -7,15 +7,15 @@ from __future__ import annotations
 import random
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from multiprocessing import get_context
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +24,22 @@ import numpy as np
 from rosbags.rosbag1 import Writer as BagWriter
 
 from tests import strangers
-from tests.bench import BIN, Figures
+from tests.bench import BIN, SAMPLES, Figures
 from tests.hostile import forged_jpeg, spent
 from tests.hostile_files import EVERY
-from tests.recorders.coming_camera import ComingCamera, ComingRtspCamera
-from tests.recorders.contender import ATTACKS, attack, contend, contenders
-from tests.recorders.live_recorder import JOINTS, PICTURES, check_whole_file, missing_s, started
-from tests.recorders.live_wait import ending, wait_until
+from tests.recorders.live_recorder import (
+    ATTACKS,
+    JOINTS,
+    PICTURES,
+    attack,
+    check_whole_file,
+    contend,
+    contenders,
+    missing_s,
+    started,
+)
+from tests.recorders.live_wait import ended, recorder, wait_for_pictures
+from tests.recorders.mjpeg_camera import ComingCamera
 from tunenet_logs.copying import check
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import TuneNetError
@@ -40,14 +49,18 @@ from tunenet_logs.timing.stamps import noted_gaps
 from tunenet_logs.writing.writer import EpisodeWriter
 
 
-def counted(works: Sequence[Callable[[], Any]]) -> tuple[int, list[Any]]:
+def counted(works: Sequence[Callable[[], Any]], jobs: int = 1) -> tuple[int, list[Any]]:
     """Count the works that raise, which is said, and list the results of the others."""
-    results = []
-    for work in works:
+
+    def tried(work: Callable[[], Any]) -> list[Any]:
         try:
-            results.append(work())
+            return [work()]
         except Exception as error:  # noqa: BLE001 (what goes wrong is what is counted here)
             print(f"  {type(error).__name__}: {error}", file=sys.stderr)
+            return []
+
+    with ThreadPoolExecutor(jobs) as pool:
+        results = list(chain.from_iterable(pool.map(tried, works)))
     return len(works) - len(results), results
 
 
@@ -256,140 +269,64 @@ def ownership(tries: int, moments: int, seed: int) -> Figures:
 
 # ---- Cameras that come and go.
 
-_FAULTS = ("late", "cut", "frozen", "killed")
-_KINDS = {"mjpeg": ComingCamera, "rtsp": ComingRtspCamera}
-_RECORD = (sys.executable, "-m", "tunenet_logs.recorders.cli")
+
+def comings(runs: int, jobs: int, late_s: float) -> Figures:
+    """Let a camera be late, cut off, frozen and killed at random moments, each `runs` times."""
+    for fault in ("late", "cut", "frozen", "killed"):
+        works = [partial(_came, fault, number, late_s) for number in range(runs)]
+        bad, found = counted(works, jobs)
+        yield f"bad: {fault}, of {runs}", bad
+        gap_s, stop_s = np.max(found or [(np.nan, np.nan)], axis=0).tolist()
+        yield f"{fault}: longest gap [s]", gap_s
+        yield f"{fault}: longest Ctrl-C [s]", stop_s
 
 
-@dataclass(frozen=True)
-class Coming:
-    """One recording of a camera with a fault at a random moment of a drop that it shows again and
-    again; of all but late ones every other stays away.
+def _came(fault: str, number: int, late_s: float) -> tuple[float, float]:
+    """Record such a camera; return the length of the gap, and how long Ctrl-C took [s].
+
+    Of all but late ones every other stays away. The log has to be whole, and its gap marked between
+    the two pictures where it is.
     """
-
-    kind: str
-    fault: str
-    number: int  # of this fault; what is random in it follows from these three
-    late_s: float
-    film: Path  # what it shows
-    is_tuned: bool
-
-    def ran(self) -> tuple[str, str, float, float]:
-        """Record; return what is wrong, the verdict, its gap [s] and how long Ctrl-C took [s]."""
-        random.seed(f"{self.kind} {self.fault} {self.number}")
-        returns = self.fault == "late" or self.number % 2 == 0
-        camera = _KINDS[self.kind](self.film)
-        with tempfile.TemporaryDirectory() as name:
-            log = Path(name) / "a.mcap"
-            try:
-                code, line, said, stop_s = self._record(camera, log, returns=returns)
-            finally:
-                camera.go()
-            wrong, verdict, gap_s = self._looked_at(log, line, returns=returns)
-            wrong = f"exit code {code}: {said}" if code else wrong
-        if wrong:
-            print(f"{self.kind} {self.fault} {self.number}: {wrong}", flush=True)
-        return wrong, verdict, gap_s, stop_s
-
-    def _record(
-        self, camera: ComingCamera, log: Path, *, returns: bool
-    ) -> tuple[int, str, str, float]:
-        if self.fault != "late":
+    chance, returns = random.Random(f"{fault} {number}"), fault == "late" or number % 2 == 0
+    camera = ComingCamera(SAMPLES / "filmed.mcap")
+    with tempfile.TemporaryDirectory() as name:
+        if fault != "late":
             camera.come()
-        active, said = log.with_name("a.mcap.active"), log.with_name("said")
-        words = ["--camera", camera.address, "--stall", "5", "--wait", "60", "-o", str(log)]
-        with said.open("w") as file:
-            process = subprocess.Popen(
-                [*_RECORD, *words], stdout=subprocess.PIPE, stderr=file, text=True
-            )
-        with ending(process) as recorder:
-            if self.fault == "late":
-                time.sleep(self.late_s)
+        folder = Path(name)
+        words = ("--camera", camera.address, "--stall", "5", "--wait", "60")
+        with recorder(folder, *words) as process, ExitStack() as stack:
+            stack.callback(camera.go)
+            if fault == "late":
+                time.sleep(late_s)
                 camera.come()
-            wait_until(lambda: active.exists() and active.stat().st_size > 100_000, "pictures")
-            time.sleep(random.uniform(0.0, 3.0))
-            self._let_go(camera, returns=returns)
-            if returns:
-                time.sleep(4.0 if self.is_tuned else 1.5)
-                recorder.send_signal(signal.SIGINT)
-            begun_s = time.monotonic()
-            line, _ = recorder.communicate(timeout=60)
-            stop_s = time.monotonic() - begun_s if returns else 0.0
-        return process.returncode, line, said.read_text(), stop_s
-
-    def _let_go(self, camera: ComingCamera, *, returns: bool) -> None:
-        away_s = random.uniform(1.2, 2.5)
-        if self.fault == "cut":
-            camera.send(signal.SIGUSR1)
-            if not returns:
+            wait_for_pictures(folder)
+            time.sleep(chance.uniform(0.0, 3.0))
+            if fault == "frozen":
+                camera.send(signal.SIGSTOP)
+            elif fault == "killed" or not returns:
                 camera.go()
-        elif self.fault == "frozen":
-            camera.send(signal.SIGSTOP)
+            elif fault == "cut":
+                camera.send(signal.SIGUSR1)
             if returns:
-                time.sleep(away_s)
-                camera.send(signal.SIGCONT)
-        elif self.fault == "killed":
-            camera.go()
-            if returns:
-                camera.come()
-
-    def _looked_at(self, log: Path, line: str, *, returns: bool) -> tuple[str, str, float]:
-        """Return what is wrong with a log, its verdict, and the length of its gap [s].
-
-        It has to be whole, its gap marked between the two pictures where it is, and the tuned drop
-        on one side of it.
-        """
-        episode = read_episode(log)
+                time.sleep(chance.uniform(1.2, 2.5))
+                if fault == "frozen":
+                    camera.send(signal.SIGCONT)
+                elif fault == "killed":
+                    camera.come()
+                wait_for_pictures(folder)
+            begun_s = time.monotonic()
+            line, _ = ended(process, signal.SIGINT if returns else 0)
+            stop_s = time.monotonic() - begun_s if returns else 0.0
+        episode = read_episode(folder / "a.mcap")
         stamps_ns = np.array([frame.stamp_ns for frame in episode.frames()])
-        gaps = noted_gaps(episode.info.notes)
-        if episode.warnings:
-            return f"not whole: {episode.warnings}", "", 0.0
-        is_lost = self.fault in ("cut", "killed") or float(np.diff(stamps_ns).max()) > 1e9
-        if len(gaps) != (is_lost and returns):  # a frozen server may send all of it when it thaws
-            return f"{len(gaps)} gaps: {line}", "", 0.0
-        if not returns and "no frame for" not in line:
-            return f"ended otherwise: {line}", "", 0.0
-        for gap in gaps:
-            at = int(np.searchsorted(stamps_ns, gap.last_ns))
-            if tuple(stamps_ns[at : at + 2].tolist()) != gap:
-                around = [int(one) - gap.last_ns for one in stamps_ns[max(0, at - 2) : at + 4]]
-                return f"a gap of {gap.seconds:.3f} s in the wrong place: {around} ns", "", 0.0
-        gap_s = sum(gap.seconds for gap in gaps)
-        if not self.is_tuned:
-            return "", "not tuned", gap_s
-        from tunenet_logs.analysis.options import TuneOptions
-        from tunenet_logs.analysis.tuning import tune_log
-
-        tuning, wrong = tune_log(log, TuneOptions()), ""
-        if tuning.detection is not None:
-            start_s, end_s = (tuning.detection.window[name] for name in ("start_s", "end_s"))
-            for gap in gaps:
-                gap_at_s = (gap.last_ns - int(stamps_ns[0])) * 1e-9
-                if start_s < gap_at_s and gap_at_s + gap.seconds < end_s + 1e-3:
-                    wrong = f"tuned across the gap: {start_s:.2f} to {end_s:.2f} s"
-        return wrong, tuning.verdict, gap_s
-
-
-def comings(runs: int, tuned: int, jobs: int, only: str, late_s: float) -> Figures:
-    """Let cameras of MJPEG (ours) and RTSP (GStreamer's) be late, cut off, frozen and killed, each
-    `runs` times; `tuned` of each are tuned, which takes longer than all the rest.
-    """
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        ProcessPoolExecutor(jobs, get_context("spawn")) as pool,
-    ):
-        film = Path(folder) / "film.mcap"  # restitution .63
-        words = ["--simulate", "drop", "--render", "--seed", "7", "--seconds", "3"]
-        subprocess.run([*_RECORD, *words, "-o", str(film)], check=True, capture_output=True)
-        for kind in [only] if only else _KINDS:
-            _KINDS[kind](film)  # lays out its pictures, which all that follow use
-            for fault in _FAULTS:
-                every = [
-                    Coming(kind, fault, number, late_s, film, is_tuned=number < tuned)
-                    for number in range(runs)
-                ]
-                wrong, verdicts, gaps_s, stops_s = zip(*pool.map(Coming.ran, every), strict=True)
-                yield f"bad: {kind}, {fault}, of {runs}", sum(map(bool, wrong))
-                yield f"{kind}, {fault}: verdicts", str(dict(Counter(verdicts)))
-                yield f"{kind}, {fault}: longest gap [s]", max(gaps_s)
-                yield f"{kind}, {fault}: longest Ctrl-C [s]", max(stops_s)
+    gaps = noted_gaps(episode.info.notes)
+    assert not episode.warnings, f"not whole: {episode.warnings}"
+    # a frozen server may send all of it when it thaws
+    is_lost = fault in ("cut", "killed") or float(np.diff(stamps_ns).max()) > 1e9
+    assert len(gaps) == (is_lost and returns), f"{len(gaps)} gaps: {line}"
+    assert returns or "no frame for" in line, f"ended otherwise: {line}"
+    for gap in gaps:
+        at = int(np.searchsorted(stamps_ns, gap.last_ns))
+        around = stamps_ns[at : at + 2].tolist()
+        assert tuple(around) == gap, f"{gap} lies between other pictures: {around}"
+    return sum(gap.seconds for gap in gaps), stop_s

@@ -2,7 +2,7 @@
 
 Each yields figures as they come, by what they are of. Both sides of a ratio are measured in one
 run, in turns where they are long, so that they see the machine in the same state. What takes much
-memory is imported by the sections that need it: one of them measures memory.
+memory is imported by the sections that need it: one of them measures that of this process.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import logging
 import math
 import os
 import random
-import resource
 import shutil
 import signal
 import subprocess
@@ -21,7 +20,6 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -33,13 +31,12 @@ import numpy as np
 from mcap.reader import make_reader
 
 from tests import strangers
-from tests.bench import BIN, REAL, ROOT, SAMPLES, Figures, best_s, spent
+from tests.bench import BIN, REAL, SAMPLES, Figures, best_s, spent
 from tunenet_logs.analysis.batch.ledger import ledger_file
 from tunenet_logs.analysis.batch.logs import find_logs
 from tunenet_logs.analysis.drop.bounce_posterior import drop_posterior
 from tunenet_logs.analysis.drop.motion import rig_like
 from tunenet_logs.analysis.drop.presets import TRAININGS
-from tunenet_logs.analysis.evaluation.studies.video import track_errors_px
 from tunenet_logs.analysis.evaluation.worlds.ball import RealBall, drop_ball
 from tunenet_logs.analysis.evaluation.worlds.clips import (
     clip_frames,
@@ -52,14 +49,9 @@ from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import streamed
 from tunenet_logs.analysis.record import to_json
 from tunenet_logs.analysis.result_files import log_sha256
-from tunenet_logs.analysis.tracking.frames import Pictures
-from tunenet_logs.analysis.tracking.track import track_ball
 from tunenet_logs.analysis.tuning import tune_log
-from tunenet_logs.errors import NotFoundError
 from tunenet_logs.outcomes import Outcome, write_outcome
-from tunenet_logs.reader import read_episode
-from tunenet_logs.recorders.session import record_episode
-from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop
+from tunenet_logs.recorders.orders import FilmOrder
 from tunenet_logs.recorders.simulators.arm.description import Payload, jaco
 from tunenet_logs.recorders.simulators.arm.path import (
     CIRCLE_CSV,
@@ -148,37 +140,32 @@ def films(drawn: int) -> Figures:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         tuned_and_written(Work(SAMPLES / "filmed.mcap", folder / "first"), TuneOptions(), Writing())
-        paths = {film: REAL / path for film, path in _GIVEN.items() if (REAL / path).exists()}
-        for at, film in enumerate([*_FILMS][:drawn]):
-            paths[film] = folder / f"{at}.mp4"
-            _draw_film(paths[film], *_FILMS[film])
-        for film, path in paths.items():
+        paths = {what: REAL / path for what, path in _GIVEN.items() if (REAL / path).exists()}
+        for at, (what, order) in enumerate([*_FILMS.items()][:drawn]):
+            paths[what] = folder / f"{at}.mp4"
+            _draw_film(paths[what], *order)
+        for what, path in paths.items():
             bare_s = min(spent(partial(_decode, path))[1] for _ in range(2))
             work = Work(path, folder / path.stem)
             wall_s, cpu_s, done = spent(partial(tuned_and_written, work, TuneOptions(), Writing()))
-            yield f"{film}: times decoding to luma", cpu_s / bare_s
-            yield f"{film}: times its duration", wall_s / _decode(path, only_length=True)
-            yield f"{film}: verdict", done.row.record.verdict
+            yield f"{what}: times decoding to luma", cpu_s / bare_s
+            yield f"{what}: times its duration", wall_s / _decode(path, only_length=True)
+            yield f"{what}: verdict", done.row.record.verdict
 
 
 def _draw_film(
     path: Path, number: int, size_px: tuple[int, int], rate_hz: int, held_s: float, whole_s: float
 ) -> None:
     """Render a clip in another size and length; store it as phones do (H.264, CABAC)."""
-    import av
+    from tests.bench.lab import write_video
 
     order = draw_clip(77, number)
     focal_px = order.view.focal_px * size_px[1] / order.view.size_px[1]
     view = replace(order.view, size_px=size_px, focal_px=focal_px)
     stage = draw_stage(view, order.ball.drop_m, np.random.default_rng(77))
     times = {"rate_hz": rate_hz, "held_s": held_s, "length_s": whole_s - held_s}
-    with av.open(str(path), "w") as container:
-        stream: Any = container.add_stream("libx264", rate=rate_hz, options={"crf": "20"})
-        (stream.width, stream.height), stream.pix_fmt = size_px, "yuv420p"
-        for pixels in clip_frames(replace(order, view=view, stage=stage, **times)):
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
+    pictures = clip_frames(replace(order, view=view, stage=stage, **times))
+    write_video(path, pictures, "libx264", rate_hz, options={"crf": "20"})
 
 
 def _decode(path: Path, *, only_length: bool = False) -> float:
@@ -193,99 +180,19 @@ def _decode(path: Path, *, only_length: bool = False) -> float:
         return (container.duration or 0) / av.time_base
 
 
-# A drawn clip of 640 x 480 at 60 fps, of a seed that nothing is reported on.
-_SEED, _CLIP, _CLIP_S, _LONGER = 1000, 34, 5.0, 10
+def memory(seconds: float, longer: int) -> Figures:
+    """Tune a drawn clip of 640 x 480 at 60 Hz, and one that is longer, by the command."""
+    from tests.hostile import spent
 
-
-def tracking(count: int) -> Figures:
-    """Tune a clip on one core beside its length; its memory; centres beside true ones."""
-    import cv2
-
-    whole = draw_clip(_SEED, _CLIP)
-    assert (whole.view.size_px, whole.rate_hz) == ((640, 480), 60.0)
-    held = replace(whole, held_s=_CLIP_S - whole.length_s)
-    longer = replace(whole, held_s=_LONGER * _CLIP_S - whole.length_s)
-    with tempfile.TemporaryDirectory() as name:
-        peaks = []
-        for at, clip in enumerate((held, longer)):
-            (folder := Path(name) / str(at)).mkdir()
-            path = write_clip(replace(clip, as_log=False), folder)
-            code = f"from tests.bench.speed import peak_mib; peak_mib({str(path)!r})"
-            peaks.append(float(started(sys.executable, "-c", code, cwd=ROOT).stdout))
-    yield "memory for a clip [MiB]", peaks[0]
-    yield f"memory for {_LONGER} times the clip, times that", peaks[1] / peaks[0]
-    rms = [one for index in range(count) if (one := _off_px(index)) is not None]
-    yield f"balls followed, of {count}", len(rms)
-    yield "centres off, of the median clip [px rms]", float(np.median([one[0] for one in rms]))
-    yield "the same without what is constant in a clip [px]", float(np.median([x[1] for x in rms]))
-    usual, threads = os.sched_getaffinity(0), cv2.getNumThreads()
-    os.sched_setaffinity(0, {min(usual)})
-    cv2.setNumThreads(1)
-    with tempfile.TemporaryDirectory() as name:
-        paths = [write_clip(replace(held, as_log=one), Path(name)) for one in (False, True)]
-        tune_log(paths[0], TuneOptions())  # everything is imported now
-        for path in paths:
-            wall_s, cpu_s, tuning = spent(partial(tune_log, path, TuneOptions()))
-            yield f"{path.suffix[1:]}: times real time ({tuning.verdict})", _CLIP_S / wall_s
-            yield f"{path.suffix[1:]}: CPU time over wall time", cpu_s / wall_s
-    os.sched_setaffinity(0, usual)
-    cv2.setNumThreads(threads)
-
-
-def peak_mib(path: str) -> None:
-    """Tune, and print this process's peak memory."""
-    tune_log(Path(path), TuneOptions())
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-
-
-def _off_px(index: int) -> tuple[float, float] | None:
-    """Return by how much tracked centres of a clip are off, and without the mean."""
-    order = draw_clip(_SEED, index)
-    with tempfile.TemporaryDirectory() as name:
-        episode = read_episode(write_clip(order, Path(name)))
-        try:
-            track = track_ball(Pictures(episode, episode.picture_topics[0]))
-        except NotFoundError:
-            return None
-    off = track_errors_px(order, track)
-    off = off[np.isfinite(off[:, 0])]
-    return float(np.sqrt((off**2).sum(axis=1).mean())), float(np.median(off.std(axis=0)))
-
-
-def video(count: int, seeds: int) -> Figures:
-    """Tune filmed drops: the paper's cameras, in drop heights, 320 x 240; balls of 0.02 to 0.06 m
-    radius, .1 to .95, 60 to 120 Hz, shutter to 8 ms, noise to 4 of 255, up to 3 % of frames lost.
-    """
-    with ProcessPoolExecutor(cores(), mp_context=get_context("spawn")) as pool:
-        for seed in range(1, seeds + 1):
-            done = list(pool.map(_tuned_film, [seed] * count, range(count)))
-            off = [error for error, _ in done if error is not None]
-            yield f"seed {seed}: answered, of {count}", len(off)
-            yield f"seed {seed}: suspect", sum(verdict == "suspect" for _, verdict in done)
-            for what, of in {"mean": np.mean, "median": np.median, "worst": np.max}.items():
-                yield f"seed {seed}: {what} absolute error", float(of(off))
-
-
-def _tuned_film(seed: int, index: int) -> tuple[float | None, str]:
-    """Return the error and the verdict of one fresh drop."""
-    rng = np.random.default_rng([seed, index])
-    truth = float(rng.uniform(0.1, 0.95))
-    order = DropOrder(
-        restitution=truth,
-        radius_m=float(rng.uniform(0.02, 0.06)),
-        rate_hz=float(rng.choice([60, 90, 120])),
-        seconds=float(rng.uniform(2.5, 4.5)),
-        hold_s=float(rng.uniform(0, 0.8)),
-        seed=int(rng.integers(2**31)),
-    )
-    exposure_s, noise = float(rng.choice([0, 0.002, 0.008])), float(rng.uniform(0, 4))
-    film = FilmOrder(exposure_s=exposure_s, noise=noise, lost_share=float(rng.choice([0, 0, 0.03])))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "drop.mcap"
-        record_episode(film_drop(order, film), path, overwrite=False, progress=QUIET)
-        tuning = tune_log(path, TuneOptions())
-    off = None if tuning.estimate is None else abs(float(tuning.estimate[0]) - truth)
-    return off, tuning.verdict
+    order, peaks = draw_clip(1000, 34), []
+    assert (order.view.size_px, order.rate_hz) == ((640, 480), 60.0)
+    for times in (1, longer):
+        held = replace(order, as_log=False, held_s=times * seconds - order.length_s)
+        with tempfile.TemporaryDirectory() as folder:
+            path = write_clip(held, Path(folder))
+            peaks.append(spent([*TUNE, str(path), "--no-review"], Path(folder)).peak_kib / 1024)
+    yield f"a clip of {seconds:g} s [MiB]", peaks[0]
+    yield f"one {longer} times as long, times that", peaks[1] / peaks[0]
 
 
 # ---- Small logs of positions, alone and in batches.
@@ -438,17 +345,7 @@ def _noting(
 
 def _killed(folder: Path, out: Path, kills: int) -> Figures:
     """Kill the driver and its workers in turn, at random moments, and begin again."""
-    words = [
-        *TUNE,
-        str(folder),
-        "-o",
-        str(out),
-        "--resume",
-        "--no-review",
-        "--quiet",
-        "--jobs",
-        "2",
-    ]
+    words = [*TUNE, folder, "-o", out, "--resume", "--no-review", "--quiet", "--jobs", "2"]
     rng, left, starts, until_s = random.Random(5), kills, 0, time.monotonic() + 600.0
     while time.monotonic() < until_s:
         starts += 1
@@ -727,7 +624,7 @@ def campaign(out: str, attempts: int) -> Figures:
         words = "-m", "tunenet_logs.analysis.cli.review", folder, "-o", review, "--quiet"
         yield "review [s]", spent(lambda: started(sys.executable, *words))[0]
         yield "review [MB]", review.stat().st_size / 1e6
-        verify = subprocess.run([BIN / "rerun", "rrd", "verify", review], check=False)
+        verify = subprocess.run([BIN / "rerun", "rrd", "verify", review], check=False, stdout=2)
         yield "bad: exit code of rerun rrd verify", verify.returncode
 
 
@@ -736,37 +633,33 @@ def _fill(folder: Path, films: Path, attempts: int) -> None:
 
     Every fourth attempt has a rejected drop before it, and every twentieth no other.
     """
-    logs: dict[str, Path] = {}
-    for index, (ball, restitution) in enumerate(_BALLS.items()):
-        logs[ball] = films / f"{index}.mcap"
-        order = DropOrder(restitution=restitution, height_m=0.8, radius_m=0.03, seconds=3.0,
-                          hold_s=0.3, seed=index)  # fmt: skip
-        episode = film_drop(order, FilmOrder(size_px=(640, 480), exposure_s=0.004, noise=4.0))
-        record_episode(episode, logs[ball], overwrite=False, progress=QUIET)
-    subprocess.run([*TUNE, *logs.values(), "--quiet"], check=False)  # one may be rejected
+    from tests.conftest import film
+
     rng, number = np.random.default_rng(0), 0
+    camera = FilmOrder(size_px=(640, 480), exposure_s=0.004, noise=4.0)
+    drops = {"height_m": 0.8, "radius_m": 0.03, "seconds": 3.0, "hold_s": 0.3}
+    logs = {
+        ball: film(films / f"{seed}.mcap", camera, restitution=restitution, seed=seed, **drops)
+        for seed, (ball, restitution) in enumerate(_BALLS.items())
+    }
+    tune = [*TUNE, *logs.values(), "--quiet"]
+    subprocess.run(tune, check=False, stdout=subprocess.DEVNULL)  # one may be rejected
 
     def copy(log: Path, to: Path, *, is_rejected: bool) -> None:
-        """Copy a log and its tuning under another name, with a value as of a repeated drop."""
+        """Copy a log and its tuning under another name."""
         shutil.copyfile(log, to)
         told = {**json.loads(log.with_suffix(".json").read_text()), "log": to.name}
         if is_rejected:
             reason = "ball stays in view: left"
             told |= {"verdict": "rejected", "reason": reason, "parameters": None}
-        elif told["parameters"]:
-            off, one = float(rng.normal(0, 0.003)), told["parameters"]["restitution"]
-            one["value"] += off
-            one["interval95"] = one["interval95"] and [end + off for end in one["interval95"]]
-            told["parameters"] = {"restitution": one}
         to.with_suffix(".json").write_text(json.dumps(told))
 
     for attempt in range(1, attempts + 1):
         for ball, log in logs.items():
             number += 1
-            name = f"drop_{number:02d}"
+            name, is_bad = f"drop_{number:02d}", number % 20 == 7
             if number % 4 == 0:
                 copy(log, folder / f"{name}a.mcap", is_rejected=True)
-            is_bad = number % 20 == 7
             copy(log, folder / f"{name}b.mcap", is_rejected=is_bad)
             miss_m = float(rng.normal(0, 0.02))
             is_in = abs(miss_m) < 0.03 and not is_bad

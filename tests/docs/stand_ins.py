@@ -14,8 +14,8 @@ from tests.conftest import record
 from tests.docs.parsing import run_in_process
 from tests.export_writers import write_motive
 from tests.export_writers_video import phyphox_xlsx
+from tests.message_logs import START_NS, STEP_NS, header, in_steps, write_cdr
 from tests.strangers import Stranger, write_poses_bag, write_poses_folder
-from tests.tunenet_logs.any_message_logs import RosLog
 from tests.wheel import ROOT
 
 SAMPLES = ROOT / "sample_logs"
@@ -140,18 +140,19 @@ def _claps(path: Path) -> None:
 
 def _vicon(path: Path) -> None:
     """A log of a type of a lab's own, with the height in a field."""
-    log = RosLog({"vicon_msgs/msg/Marker": "std_msgs/Header header\nfloat64 z_trans\n"})
+    kind = "vicon_msgs/msg/Marker"
     _, positions = _seconds_and_metres()
     messages = [
-        log.make("vicon_msgs/msg/Marker", header=log.header(at), z_trans=float(height))
-        for at, height in enumerate(positions[:, 2])
+        {"header": header(START_NS + at * STEP_NS), "z_trans": height}
+        for at, height in enumerate(positions[:, 2].tolist())
     ]
-    log.write(path, {"/vicon/ball": ("vicon_msgs/msg/Marker", messages)})
+    sent = in_steps("/vicon/ball", kind, messages)
+    write_cdr(path, sent, {kind: "std_msgs/Header header\nfloat64 z_trans\n"})
 
 
 def _clip(path: Path) -> None:
     """The sample film as a phone's file."""
-    from tests.bench.stored_ways import write_video
+    from tests.bench.lab import write_video
     from tunenet_logs.reader import read_episode
 
     pictures = [frame.decode() for frame in read_episode(SAMPLES / "filmed.mcap").frames()]

@@ -48,17 +48,12 @@ def write_video(
     muxing: dict[str, str] | None = None,
     **coding: str,
 ) -> Path:
-    """Write a video with a picture at each tick.
+    """Write a video with a picture at each tick [1 / ticks_hz s].
 
     Args:
-        path: of the file.
-        ticks: when each picture is shown [1 / ticks_hz s].
-        codec: FFmpeg's encoder.
         ticks_hz: 600, or the rate itself.
         drawn: RGB pixels of a picture's number.
         form: FFmpeg's name of the container, where the file's name does not tell it.
-        muxing: options of the container.
-        coding: options of the encoder.
     """
     with av.open(str(path), "w", format=form, options=muxing or {}) as container:
         stream: Any = container.add_stream(codec, rate=min(ticks_hz, 60), options=coding)
@@ -75,14 +70,7 @@ def write_video(
 
 @cache
 def film(kind: str, codec: str = "libx264", count: int = 30, **options: str) -> bytes:
-    """A film of 64 x 48 px whose pictures differ.
-
-    Args:
-        kind: FFmpeg's name of the container.
-        codec: what compresses.
-        count: of its pictures, 30 a second.
-        options: of the container.
-    """
+    """A film of 64 x 48 px and 30 Hz whose pictures differ, in a container of FFmpeg's."""
 
     def drawn(number: int) -> np.ndarray:
         pixels = np.full((48, 64, 3), 60, np.uint8)
@@ -153,17 +141,10 @@ def recorded(
 
 
 def numbers(episode: Episode) -> list[int]:
-    """Those that the pictures of a log hold."""
     return [number_in(frame.decode()) for frame in episode.frames()]
 
 
 class MadeSource:
-    """A camera that brings the shots that it is given.
-
-    Attributes:
-        closed: once it is.
-    """
-
     name, live, returns = "camera made up", True, False
     ended, damaged, dropped = "", 0, 0
 
@@ -172,13 +153,10 @@ class MadeSource:
         self._shots = shots
 
     def notes(self) -> dict[str, str]:
-        """Nothing."""
         return {}
 
     def frames(self) -> Iterator[CapturedFrame]:
-        """The shots as they are made."""
         return self._shots
 
     def close(self) -> None:
-        """Remember that."""
         self.closed.set()

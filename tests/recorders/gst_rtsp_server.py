@@ -29,8 +29,6 @@ def main() -> None:
     parser.add_argument("launch", help="a pipeline whose payloader is called pay0")
     parser.add_argument("--transports", default="tcp,udp", help="what SETUP may ask for")
     parser.add_argument("--auth", choices=("basic", "digest"))
-    parser.add_argument("--user", default="me")
-    parser.add_argument("--password", default="secret")
     parser.add_argument("--tls", type=Path, help="a certificate and its key in one PEM file")
     parser.add_argument("--port", default="0")
     arguments = parser.parse_args()
@@ -74,9 +72,9 @@ def access(arguments: argparse.Namespace, factory: Any) -> object:
     factory.set_permissions(permissions)
     if arguments.auth == "digest":
         auth.set_supported_methods(GstRtsp.RTSPAuthMethod.DIGEST)
-        auth.add_digest(arguments.user, arguments.password, token)
+        auth.add_digest("me", "secret", token)
     elif arguments.auth == "basic":
-        known = GstRtspServer.RTSPAuth.make_basic(arguments.user, arguments.password)
+        known = GstRtspServer.RTSPAuth.make_basic("me", "secret")
         auth.add_basic(known, token)
     else:
         auth.set_default_token(token)

@@ -1,17 +1,18 @@
-"""A network camera on the loopback: real sockets, in a process of its own, faults on demand.
+"""A network camera on the loopback: real sockets, in a process of its own, whose times are known.
 
-`python -m tests.recorders.mjpeg_camera` prints its port and serves until its standard input ends.
-It plays what was POSTed to /plan at the path that it answers with, and puts down when it sent each
-frame. One camera serves all tests of a process; `playing` is what they use.
+`python -m tests.recorders.mjpeg_camera PORT` prints its port and serves until its standard input
+ends. It plays what was POSTed to /plan at the path that it answers with, and puts down when it sent
+each frame. SIGUSR1 cuts every connection. One camera serves all tests of a process, by `playing`.
 """
 
 from __future__ import annotations
 
 import atexit
-import base64
 import json
 import os
 import random
+import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -28,13 +29,14 @@ import cv2
 import numpy as np
 from mcap.reader import make_reader
 
-from tests.recorders.live_wait import LAST_RESORT_S
+from tests.recorders.live_wait import LAST_RESORT_S, free_port
 from tunenet_logs.reader import read_episode
 from tunenet_logs.timing.stamps import wall_ns
 
 ROOT = Path(__file__).resolve().parents[2]
 _BLOCK = 16
 _BITS = 16
+_SERVES = [sys.executable, "-m", "tests.recorders.mjpeg_camera"]
 
 
 @dataclass(frozen=True)
@@ -42,38 +44,19 @@ class Plan:
     """What the camera sends.
 
     Attributes:
-        rate_hz: 0 for all frames in one piece.
-        close_after: frames after which it closes the connection; 0 for at the end of `frames`.
-        stall_after: frames after which it falls silent and keeps the connection; 0 for never.
-        cut_every: every so many frames are cut in half.
-        cut_lies: whether a cut frame still states its whole length.
         jitter_s: the largest deviation from its time that a frame is sent with.
-        slow_start_s: silence before the first frame.
-        with_length: whether it states Content-Length.
-        boundary: as it announces it; the delimiter is "--frame".
-        status, kind, body: of an answer that is no stream.
-        user: "name:password" that it wants.
         distinct: pictures before they come again.
         log: whose pictures they are, where they are not its own.
+        since_ns: of the monotonic clock, when frame 0 was due to whoever looked; 0 for the call.
     """
 
     frames: int = 60
     rate_hz: float = 60.0
     size: tuple[int, int] = (320, 240)
-    close_after: int = 0
-    stall_after: int = 0
-    cut_every: int = 0
-    cut_lies: bool = False
     jitter_s: float = 0.0
-    slow_start_s: float = 0.0
-    with_length: bool = True
-    boundary: str = "frame"
-    status: int = 200
-    kind: str = ""
-    body: str = ""
-    user: str = ""
     distinct: int = 1 << _BITS
     log: str = ""
+    since_ns: int = 0
 
 
 @cache
@@ -91,7 +74,6 @@ def picture(number: int, size: tuple[int, int] = (320, 240)) -> bytes:
 
 
 def number_in(pixels: np.ndarray) -> int:
-    """The number that a picture holds."""
     half = _BLOCK // 2
     return sum((int(pixels[half, bit * _BLOCK + half, 0]) > 127) << bit for bit in range(_BITS))
 
@@ -101,7 +83,7 @@ class _Show:
     """A plan as it is played.
 
     Attributes:
-        sent_ns: monotonic time just before each whole frame was sent.
+        sent_ns: monotonic time just before each frame was sent.
         ended: set once nobody wants it any more.
     """
 
@@ -113,6 +95,7 @@ class _Show:
 
 class _Handler(BaseHTTPRequestHandler):
     shows: list[_Show]
+    callers: list[socket.socket]
 
     def log_message(self, format: str, *_words: object) -> None:  # noqa: A002
         pass
@@ -126,81 +109,53 @@ class _Handler(BaseHTTPRequestHandler):
             count = min(plan.frames, plan.distinct)
             pictures = [picture(number, plan.size) for number in range(count)]
         self.shows.append(_Show(plan, pictures))
-        self._answer(200, "text/plain", f"/video/{len(self.shows) - 1}")
+        self._answer(f"/video/{len(self.shows) - 1}")
 
     def do_GET(self) -> None:
         show = self._show()
         if self.path.startswith("/sent/"):
-            self._answer(200, "application/json", json.dumps(show.sent_ns))
-        else:
-            self._send(show)
+            self._answer(json.dumps(show.sent_ns))
+            return
+        self.callers.append(self.connection)
+        self._begin("multipart/x-mixed-replace; boundary=frame")
+        with suppress(OSError):
+            self._play(show)
 
     def do_DELETE(self) -> None:
         self._show().ended.set()
-        self._answer(200, "text/plain", "")
+        self._answer("")
 
     def _show(self) -> _Show:
-        return self.shows[int(self.path.partition("?")[0].rpartition("/")[2])]
+        return self.shows[int(self.path.rpartition("/")[2])]
 
-    def _answer(self, code: int, kind: str, body: str) -> None:
-        self.send_response(code)
+    def _begin(self, kind: str) -> None:
+        self.send_response(200)
         self.send_header("Content-Type", kind)
         self.end_headers()
-        self.wfile.write(body.encode())
 
-    def _send(self, show: _Show) -> None:
-        plan = show.plan
-        if plan.user:
-            wanted = "Basic " + base64.b64encode(plan.user.encode()).decode()
-            if self.headers.get("Authorization") != wanted:
-                self.send_response(401)
-                self.send_header("WWW-Authenticate", 'Basic realm="camera"')
-                self.end_headers()
-                return
-        if plan.status != 200 or plan.kind:
-            self._answer(plan.status, plan.kind or "text/html", plan.body)
-            return
-        self.send_response(200)
-        announced = f"; boundary={plan.boundary}" if plan.boundary else ""
-        self.send_header("Content-Type", "multipart/x-mixed-replace" + announced)
-        self.end_headers()
-        with suppress(BrokenPipeError, ConnectionResetError):
-            self._play(show)
+    def _answer(self, text: str) -> None:
+        self._begin("text/plain")
+        self.wfile.write(text.encode())
 
     def _play(self, show: _Show) -> None:
-        plan = show.plan
-        rng = random.Random(0)
-        start = time.monotonic() + plan.slow_start_s
-        held = b""
-        for number in range(plan.frames):
-            if plan.rate_hz:
-                due = start + number / plan.rate_hz + rng.uniform(-1, 1) * plan.jitter_s
-                if show.ended.wait(max(0.0, due - time.monotonic())):
-                    return
-            if plan.close_after and number == plan.close_after:
+        plan, rng, now_s = show.plan, random.Random(0), time.monotonic()
+        start_s, number = now_s, 0
+        if plan.since_ns:
+            start_s = plan.since_ns * 1e-9
+            number = int((now_s - start_s) * plan.rate_hz) + 1
+        while number < plan.frames:
+            due_s = start_s + number / plan.rate_hz + rng.uniform(-1, 1) * plan.jitter_s
+            late_s = time.monotonic() - due_s
+            if plan.since_ns and late_s > 1 / plan.rate_hz:  # what was not filmed is not shown
+                number += int(late_s * plan.rate_hz)
+            if show.ended.wait(max(0.0, -late_s)):
                 return
-            if plan.stall_after and number == plan.stall_after:
-                self.wfile.write(held)
-                show.ended.wait()
-                return
-            part = self._part(show, number)
-            if plan.rate_hz:
-                self.wfile.write(part)
-            else:
-                held += part
-        self.wfile.write(held + b"--frame--\r\n")
-
-    def _part(self, show: _Show, number: int) -> bytes:
-        plan = show.plan
-        whole = show.pictures[number % len(show.pictures)]
-        is_cut = plan.cut_every and number % plan.cut_every == plan.cut_every - 1
-        data = whole[: len(whole) // 2] if is_cut else whole
-        head = "--frame\r\nContent-Type: image/jpeg\r\n"
-        if plan.with_length:
-            head += f"Content-Length: {len(whole if plan.cut_lies else data)}\r\n"
-        if not is_cut:
+            data = show.pictures[number % len(show.pictures)]
+            head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
             show.sent_ns.append(time.monotonic_ns())
-        return head.encode() + b"\r\n" + data + b"\r\n"
+            self.wfile.write(head.encode() + data + b"\r\n")
+            number += 1
+        self.wfile.write(b"--frame--\r\n")
 
 
 class _Server(ThreadingHTTPServer):
@@ -208,33 +163,23 @@ class _Server(ThreadingHTTPServer):
 
 
 def main() -> None:
-    _Handler.shows = []
-    server = _Server(("127.0.0.1", 0), _Handler)
+    _Handler.shows, _Handler.callers = [], []
+    server = _Server(("127.0.0.1", int(sys.argv[1])), _Handler)
+
+    def cut(*_words: object) -> None:
+        while _Handler.callers:
+            with suppress(OSError):
+                _Handler.callers.pop().shutdown(socket.SHUT_RDWR)
+
+    signal.signal(signal.SIGUSR1, cut)
     print(server.server_port, flush=True)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     sys.stdin.read()  # which ends with whoever started it
     os._exit(0)
 
 
-@cache
-def _port() -> int:
-    """The port of this process's camera, which is started when it is first wanted."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.recorders.mjpeg_camera"],
-        cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-
-    def end() -> None:
-        process.kill()
-        process.communicate()
-
-    atexit.register(end)
-    assert process.stdout is not None
-    return int(process.stdout.readline())
-
-
-def _ask(method: str, path: str, body: str = "") -> str:
-    connection = HTTPConnection("127.0.0.1", _port(), timeout=LAST_RESORT_S)
+def _ask(port: int, method: str, path: str, body: str = "") -> str:
+    connection = HTTPConnection("127.0.0.1", port, timeout=LAST_RESORT_S)
     try:
         connection.request(method, path, body)
         response = connection.getresponse()
@@ -244,20 +189,61 @@ def _ask(method: str, path: str, body: str = "") -> str:
         connection.close()
 
 
+def _started(words: list[str]) -> tuple[subprocess.Popen[str], str]:
+    """A server in a process of its own, which is ended with this one, and the line it says."""
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(words, cwd=ROOT, stdin=pipe, stdout=pipe, text=True)
+    atexit.register(process.kill)
+    assert process.stdout is not None
+    return process, process.stdout.readline()
+
+
+@cache
+def _port() -> int:
+    """The port of this process's camera, which is started when it is first wanted."""
+    return int(_started([*_SERVES, "0"])[1])
+
+
 @contextmanager
 def playing(**plan: object) -> Iterator[str]:
     """A camera that plays a plan to whoever asks; its address, without "http://"."""
-    words = json.dumps(asdict(Plan(**plan)))  # type: ignore[arg-type]
-    path = _ask("POST", "/plan", words)
+    path = _ask(_port(), "POST", "/plan", json.dumps(asdict(Plan(**plan))))  # type: ignore[arg-type]
     try:
         yield f"127.0.0.1:{_port()}{path}"
     finally:
-        _ask("DELETE", path)
+        _ask(_port(), "DELETE", path)
 
 
-def sent_by(address: str) -> list[int]:
-    """When the camera sent each whole frame so far, just before it did [monotonic ns]."""
-    return json.loads(_ask("GET", "/sent/" + address.rpartition("/")[2]))
+class ComingCamera:
+    """A camera that may come and go; what it shows, over and over, goes on meanwhile.
+
+    Attributes:
+        address: where it is, or will be.
+        words: the command that serves; it says so in a line.
+    """
+
+    def __init__(self, log: Path | str = "", rate_hz: float = 60.0) -> None:
+        self._port, since_ns = free_port(), time.monotonic_ns()
+        self._plan = Plan(1 << 62, rate_hz, distinct=30, log=str(log), since_ns=since_ns)
+        self._process: subprocess.Popen[str] | None = None
+        self.address = f"http://127.0.0.1:{self._port}/video/0"
+        self.words = [*_SERVES, str(self._port)]
+
+    def come(self) -> None:
+        self._process, _ = _started(self.words)
+        if self.words[:-1] == _SERVES:
+            _ask(self._port, "POST", "/plan", json.dumps(asdict(self._plan)))
+
+    def send(self, number: int) -> None:
+        assert self._process is not None
+        self._process.send_signal(number)
+
+    def go(self) -> None:
+        """Kill it; nothing is left of it afterwards, not even on its port."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+            self._process = None
 
 
 def times_in(log: Path) -> list[tuple[int, int]]:
@@ -271,8 +257,10 @@ def check_times(log: Path, address: str) -> None:
 
     Each frame's stamp lies between the moment of its sending and that of its receipt.
     """
-    for sent_ns, (stamp_ns, received_ns) in zip(sent_by(address), times_in(log), strict=True):
-        assert wall_ns(sent_ns) <= stamp_ns <= received_ns
+    path = "/sent/" + address.rpartition("/")[2]
+    sent_ns = json.loads(_ask(_port(), "GET", path))  # just before each was
+    for before_ns, (stamp_ns, received_ns) in zip(sent_ns, times_in(log), strict=True):
+        assert wall_ns(before_ns) <= stamp_ns <= received_ns
 
 
 if __name__ == "__main__":

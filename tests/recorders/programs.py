@@ -10,6 +10,7 @@ from contextlib import closing, contextmanager, suppress
 from functools import cache
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -33,10 +34,11 @@ TEST_PICTURES = (
 
 
 @contextmanager
-def _running(words: list[object], answers: Callable[[], object], what: str) -> Iterator[None]:
-    none = subprocess.DEVNULL
-    with ending(subprocess.Popen([*map(str, words)], stdout=none, stderr=none, text=True)):
-        wait_until(answers, what)
+def running(words: list[object], answers: Callable[[], object] = lambda: True) -> Iterator[None]:
+    """A server, once it answers where that can be asked, until it is no longer needed."""
+    ends: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    with ending(subprocess.Popen([*map(str, words)], text=True, **ends)):
+        wait_until(answers, str(words[0]))
         yield
 
 
@@ -70,7 +72,7 @@ def nginx_server(folder: Path, rules: str, certificate: Path | None = None) -> I
             return True
         return False
 
-    with _running([program, "-p", folder, "-c", folder / "nginx.conf"], listens, "nginx"):
+    with running([program, "-p", folder, "-c", folder / "nginx.conf"], listens):
         yield f"127.0.0.1:{port}"
 
 
@@ -96,7 +98,7 @@ def motion_server(folder: Path, camera: str) -> Iterator[str]:
             return asking.getresponse().status in (200, 401)
         return False
 
-    with _running([program, "-c", folder / "motion.conf"], answers, "motion's stream"):
+    with running([program, "-c", folder / "motion.conf"], answers):
         yield f"127.0.0.1:{port}/"
 
 

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from tests.recorders.live_wait import LAST_RESORT_S, ending
+from tests.recorders.live_wait import ending
 
 ROOT = Path(__file__).resolve().parents[2]
 # Messages that are sent again to who missed them; with the usual 10 a busy machine misses some.
@@ -104,7 +104,6 @@ def values_of(number: int) -> list[list[float]]:
 
 
 def message_of(kind: str, number: int, stamp_ns: int) -> Any:
-    """The number-th message of a topic of that kind."""
     if kind == "angles":
         return JointAngles(*values_of(number)[2])
     if kind == "text":
@@ -182,7 +181,6 @@ def publishing(domain: int, **plan: Any) -> Iterator[subprocess.Popen[str]]:
 
 
 def go_on(process: subprocess.Popen[str]) -> None:
-    """End a pause of a publisher."""
     assert process.stdin is not None
     process.stdin.write("\n")
     process.stdin.flush()
@@ -209,27 +207,6 @@ def free_domain() -> Iterator[int]:
             yield number
             return
     raise AssertionError("every domain is taken")
-
-
-def recorder(
-    domain: int, folder: Path, *options: object, stderr: int = subprocess.PIPE
-) -> AbstractContextManager[subprocess.Popen[str]]:
-    """Record a.mcap on the loopback interface by `tunenet-record` in a process of its own."""
-    words = [Path(sys.executable).with_name("tunenet-record"), "--loopback", "--domain", domain]
-    words += ["-o", "a.mcap", "--timeout", LAST_RESORT_S, *options]
-    out = subprocess.PIPE
-    return ending(
-        subprocess.Popen([*map(str, words)], cwd=folder, text=True, stdout=out, stderr=stderr)
-    )
-
-
-def ended(process: subprocess.Popen[str], number: int = 0) -> tuple[str, str]:
-    """What a recorder said, on stdout and stderr; sends it a signal before, if that is one."""
-    if number:
-        process.send_signal(number)
-    said = process.communicate(timeout=LAST_RESORT_S)
-    assert process.returncode == 0, said
-    return said
 
 
 if __name__ == "__main__":

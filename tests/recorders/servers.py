@@ -12,24 +12,22 @@ import struct
 import subprocess
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass, field
-from fractions import Fraction
 from functools import cache
-from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any
 
-import av
 import numpy as np
 import pytest
 
+from tests.picture_strangers import packets
 from tests.recorders.mjpeg_camera import picture
 
 MULTIPART = "multipart/x-mixed-replace; boundary=frame"
 PART = b"--frame\r\n\r\n"
-PICTURES = 5  # of an `HttpCamera`
+PICTURES = 5  # of an `http_camera`
 _DRIP_S = 0.05  # between two pieces: far less than any silence that would end the waiting
 _LOOKS_EACH_S = 0.01  # whether it is to end; by default half a second, which each test would wait
 _FIELD = re.compile(r'(\w+)=(?:"([^"]*)"|([^\s,]+))')
@@ -39,45 +37,9 @@ _MTU_BYTES = 1400
 # ---- Servers of bytes
 
 
-@contextmanager
-def beside(server: HTTPServer) -> Iterator[str]:
-    """Serve by a server of Python's own; its host and port."""
-    threading.Thread(target=server.serve_forever, args=(_LOOKS_EACH_S,), daemon=True).start()
-    try:
-        yield f"127.0.0.1:{server.server_port}"
-    finally:
-        server.shutdown()
-        server.server_close()
-
-
-@contextmanager
-def serving_each(answer: Callable[[socket.socket, threading.Event], object]) -> Iterator[str]:
-    """Serve each caller in a thread of its own, until the event; host and port."""
-    ended = threading.Event()
-    listener = socket.create_server(("127.0.0.1", 0))
-
-    def serve_one(caller: socket.socket) -> None:
-        with caller, suppress(OSError):
-            answer(caller, ended)
-
-    def serve() -> None:
-        with suppress(OSError):
-            while True:
-                caller, _ = listener.accept()
-                threading.Thread(target=serve_one, args=(caller,), daemon=True).start()
-
-    threading.Thread(target=serve, daemon=True).start()
-    try:
-        yield f"127.0.0.1:{listener.getsockname()[1]}"
-    finally:
-        ended.set()
-        listener.shutdown(socket.SHUT_RDWR)
-        listener.close()
-
-
 @dataclass
-class Answering:
-    """Where somebody answers, how often it was called so far, and who still listens."""
+class Server:
+    """Where somebody answers, and how often it was called so far."""
 
     place: str = ""
     calls: int = 0
@@ -88,33 +50,60 @@ class Answering:
 
 
 @contextmanager
-def answering(*answers: bytes, asked: bool = True) -> Iterator[Answering]:
-    """Give callers one answer after the other, the last one for ever, and hang up.
+def serving(answer: Callable[[socket.socket, threading.Event, int], object]) -> Iterator[Server]:
+    """Serve each caller in a thread of its own, by its number from 0 on, until the event."""
+    ended, server = threading.Event(), Server()
+    listener = socket.create_server(("127.0.0.1", 0))
+    server.place = f"127.0.0.1:{listener.getsockname()[1]}"
+
+    def serve_one(caller: socket.socket, number: int) -> None:
+        with caller, suppress(OSError):
+            answer(caller, ended, number)
+
+    def serve() -> None:
+        with suppress(OSError):
+            while True:
+                caller, _ = listener.accept()
+                server.calls += 1
+                words = (caller, server.calls - 1)
+                threading.Thread(target=serve_one, args=words, daemon=True).start()
+
+    threading.Thread(target=serve, daemon=True).start()
+    try:
+        yield server
+    finally:
+        ended.set()
+        listener.shutdown(socket.SHUT_RDWR)
+        listener.close()
+
+
+def answering(
+    *answers: bytes, again: bytes = b"", drips: bool = False, asked: bool = True
+) -> AbstractContextManager[Server]:
+    """Give callers one answer after the other, the last one for ever.
 
     Args:
         answers: whole, as HTTP has them.
+        again: what comes again and again behind an answer; if it is empty, it hangs up.
+        drips: whether there is a moment before each, or silence without one.
         asked: whether a caller says something first, as over HTTP.
     """
-    server = Answering()
 
-    def answer(caller: socket.socket, _ended: threading.Event) -> None:
+    def answer(caller: socket.socket, ended: threading.Event, number: int) -> None:
         if asked:
             caller.recv(65536)
-        server.calls += 1
-        caller.sendall(answers[min(server.calls, len(answers)) - 1])
+        caller.sendall(answers[min(number, len(answers) - 1)])
+        send_on(caller, again, ended, drips=drips)
+        if drips:
+            ended.wait()
 
-    with serving_each(answer) as server.place:
-        yield server
-
-
-def http(body: bytes = b"", kind: str = "", *, has_length: bool = False) -> bytes:
-    """An answer that HTTP has."""
-    head = f"Content-Type: {kind}\r\n" * bool(kind)
-    head += f"Content-Length: {len(body)}\r\n" * has_length
-    return f"HTTP/1.0 200 OK\r\n{head}\r\n".encode() + body
+    return serving(answer)
 
 
-STREAM = http(kind=MULTIPART)
+def datagrams(host: str = "127.0.0.1") -> closing[socket.socket]:
+    one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    one.bind((host, 0))
+    return closing(one)
 
 
 def send_on(caller: socket.socket, again: bytes, ended: threading.Event, *, drips: bool) -> None:
@@ -123,28 +112,27 @@ def send_on(caller: socket.socket, again: bytes, ended: threading.Event, *, drip
         caller.sendall(again)
 
 
-@contextmanager
-def sending(head: bytes, again: bytes = b"", *, drips: bool = False) -> Iterator[str]:
-    """Answer all callers with `head`, and then with `again` without end; an address.
-
-    Args:
-        head: at once.
-        again: what comes again and again; nothing more comes if it is empty.
-        drips: whether there is a moment before each, or silence without one; else it hangs up.
-    """
-
-    def answer(caller: socket.socket, ended: threading.Event) -> None:
-        caller.recv(65536)
-        caller.sendall(head)
-        send_on(caller, again, ended, drips=drips)
-        if drips:
-            ended.wait()
-
-    with serving_each(answer) as place:
-        yield f"http://{place}/video"
+def http(body: bytes = b"", kind: str = "", *, has_length: bool = False) -> bytes:
+    head = f"Content-Type: {kind}\r\n" * bool(kind)
+    head += f"Content-Length: {len(body)}\r\n" * has_length
+    return f"HTTP/1.0 200 OK\r\n{head}\r\n".encode() + body
 
 
-# ---- HTTP cameras that ask who is there
+STREAM = http(kind=MULTIPART)
+
+
+def part(data: bytes, *, stated: int | None = None) -> bytes:
+    """A picture of a stream; where a number is stated, with it as its length."""
+    length = b"" if stated is None else b"Content-Length: %d\r\n" % stated
+    return b"--frame\r\nContent-Type: image/jpeg\r\n" + length + b"\r\n" + data + b"\r\n"
+
+
+def parts(*pictures: bytes) -> bytes:
+    """A stream of pictures that has an end."""
+    return b"".join(part(one, stated=len(one)) for one in pictures) + b"--frame--\r\n"
+
+
+# ---- HTTP servers that ask who is there
 
 
 @cache
@@ -169,64 +157,87 @@ def fingerprint_of(file: Path) -> str:
     return hashlib.sha256(ssl.PEM_cert_to_DER_cert(text)).digest().hex(":").upper()
 
 
+Header = tuple[str, str]
+
+
 @dataclass
-class HttpCamera:
-    """What it wants before it shows five pictures, and what it saw.
+class HttpServer:
+    """Who answers, and what they saw.
 
     Attributes:
-        challenges: its `WWW-Authenticate` to who has not proved anything.
-        proves: whether a request's `Authorization` does; the nonce is "n0".
-        moved: where it sends on to from /moved.
+        answer: code, headers and body of a request, by its path and its `Authorization`.
         seen: the `Authorization` of each request, "" for none.
         address: without a scheme.
     """
 
-    challenges: tuple[str, ...] = ()
-    proves: Callable[[str], bool] = field(default=bool)
-    moved: str = ""
+    answer: Callable[[str, str], tuple[int, list[Header], bytes]]
     seen: list[str] = field(default_factory=list)
     address: str = ""
 
 
 @contextmanager
-def http_camera(camera: HttpCamera, certificate: Path | None = None) -> Iterator[HttpCamera]:
-    """Serve a camera, and set its address."""
-
+def http_server(served: HttpServer, certificate: Path | None = None) -> Iterator[HttpServer]:
     class Handler(BaseHTTPRequestHandler):
         def log_message(self, format: str, *_words: object) -> None:  # noqa: A002
             pass
 
-        def answer(self, code: int, *headers: tuple[str, str]) -> None:
+        def do_GET(self) -> None:
+            given = self.headers.get("Authorization", "")
+            served.seen.append(given)
+            code, headers, body = served.answer(self.path, given)
             self.send_response(code)
             for header in headers:
                 self.send_header(*header)
             self.end_headers()
+            if self.command == "GET":
+                self.wfile.write(body)
 
-        def do_GET(self) -> None:
-            given = self.headers.get("Authorization", "")
-            camera.seen.append(given)
-            if camera.moved and self.path.startswith("/moved"):
-                self.answer(302, ("Location", camera.moved))
-            elif camera.challenges and not camera.proves(given):
-                self.answer(401, *(("WWW-Authenticate", one) for one in camera.challenges))
-            else:
-                self.answer(200, ("Content-Type", MULTIPART))
-                shown = b"".join(PART + picture(number) + b"\r\n" for number in range(PICTURES))
-                self.wfile.write(shown + b"--frame--\r\n")  # else it is asked for again
+        def do_HEAD(self) -> None:
+            self.do_GET()
 
-    class Server(ThreadingHTTPServer):
+    class Listener(ThreadingHTTPServer):
         def handle_error(self, request: object, client_address: object) -> None:
             pass  # who does not believe a certificate hangs up
 
-    server = Server(("127.0.0.1", 0), Handler)
+    server = Listener(("127.0.0.1", 0), Handler)
     if certificate is not None:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.load_cert_chain(certificate)
         server.socket = context.wrap_socket(
             server.socket, server_side=True, do_handshake_on_connect=False
         )
-    with beside(server) as camera.address:
-        yield camera
+    threading.Thread(target=server.serve_forever, args=(_LOOKS_EACH_S,), daemon=True).start()
+    served.address = f"127.0.0.1:{server.server_port}"
+    try:
+        yield served
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def http_camera(
+    *challenges: str,
+    proves: Callable[[str], object] = bool,
+    moved: str = "",
+    certificate: Path | None = None,
+) -> AbstractContextManager[HttpServer]:
+    """A camera that shows five pictures.
+
+    Args:
+        challenges: its `WWW-Authenticate` to who has not proved anything.
+        proves: whether a request's `Authorization` does.
+        moved: where it sends on to from /moved.
+        certificate: a PEM file with key and certificate, for HTTPS.
+    """
+
+    def answer(path: str, given: str) -> tuple[int, list[Header], bytes]:
+        if moved and path.startswith("/moved"):
+            return 302, [("Location", moved)], b""
+        if challenges and not proves(given):
+            return 401, [("WWW-Authenticate", one) for one in challenges], b""
+        return 200, [("Content-Type", MULTIPART)], parts(*map(picture, range(PICTURES)))
+
+    return http_server(HttpServer(answer), certificate)
 
 
 def digest_of(given: str, kind: str, user: str, password: str) -> str:
@@ -252,7 +263,6 @@ SDP = (
 
 
 def ok(method: str, sdp: str = SDP) -> bytes:
-    """What an honest camera replies."""
     body = sdp if method == "DESCRIBE" else ""
     head = {
         "OPTIONS": "Public: OPTIONS, DESCRIBE, SETUP, PLAY, TEARDOWN\r\n",
@@ -276,18 +286,24 @@ def hostile_rtsp(
     """
     last = next(iter(replies), "PLAY")
 
-    def answer(caller: socket.socket, ended: threading.Event) -> None:
-        file = caller.makefile("rb")
-        while line := file.readline():
-            method = line.decode().partition(" ")[0]
-            while file.readline().strip():
-                pass
+    def answer(caller: socket.socket, ended: threading.Event, _number: int) -> None:
+        for method, _ in _requests(caller):
             caller.sendall(replies[method] if method in replies else ok(method))
             if method == last:
                 send_on(caller, again, ended, drips=drips)
 
-    with serving_each(answer) as place:
-        yield f"{place}/stream"
+    with serving(answer) as server:
+        yield f"{server.place}/stream"
+
+
+def _requests(caller: socket.socket) -> Iterator[tuple[str, bytes]]:
+    file = caller.makefile("rb")
+    while method := file.readline().decode().partition(" ")[0]:
+        number = b"1"
+        while line := file.readline().strip():
+            name, _, value = line.partition(b":")
+            number = value.strip() if name.lower() == b"cseq" else number
+        yield method, number
 
 
 @contextmanager
@@ -297,46 +313,33 @@ def rtsp_camera(pictures: list[np.ndarray], rate_hz: int, *, stall: bool = False
     They are sent in one piece, so that no delay between them looks like silence; their times are
     those of the rate.
     """
-    frames = _encoded(pictures, rate_hz)
+    frames = _encoded(pictures)
     sets = [base64.b64encode(one).decode() for one in frames[0] if one[0] & 0x1F in (7, 8)]
     sdp = f"{SDP}a=fmtp:96 packetization-mode=1;sprop-parameter-sets={','.join(sets)}\r\n"
-    packets: list[bytes] = []
+    sent: list[bytes] = []
     for number, units in enumerate(frames):
-        packets += _rtp(units, number, len(packets), rate_hz)
+        sent += _rtp(units, number, len(sent), rate_hz)
+    stream = b"".join(struct.pack(">cBH", b"$", 0, len(one)) + one for one in sent)
 
-    def answer(caller: socket.socket, ended: threading.Event) -> None:
-        file = caller.makefile("rb")
-        method = ""
-        while method != "PLAY":
-            method = file.readline().decode().partition(" ")[0]
-            number = b"1"
-            while line := file.readline().strip():
-                name, _, value = line.partition(b":")
-                number = value.strip() if name.lower() == b"cseq" else number
+    def answer(caller: socket.socket, ended: threading.Event, _number: int) -> None:
+        for method, number in _requests(caller):
             caller.sendall(ok(method, sdp).replace(b"CSeq: 1", b"CSeq: " + number))
-        heads = (struct.pack(">cBH", b"$", 0, len(packet)) for packet in packets)
-        caller.sendall(b"".join(head + one for head, one in zip(heads, packets, strict=True)))
+            if method == "PLAY":
+                break
+        caller.sendall(stream)
         if stall:
             ended.wait()
 
-    with serving_each(answer) as place:
-        yield f"{place}/stream"
+    with serving(answer) as server:
+        yield f"{server.place}/stream"
 
 
-def _encoded(pictures: list[np.ndarray], rate_hz: int) -> list[list[bytes]]:
+def _encoded(pictures: list[np.ndarray]) -> list[list[bytes]]:
     """The NAL units of each picture, RGB (H, W, 3)."""
-    height, width = pictures[0].shape[:2]
-    coder: Any = av.CodecContext.create("libx264", "w")
-    coder.width, coder.height, coder.pix_fmt = width, height, "yuv420p"
-    coder.time_base, coder.gop_size = Fraction(1, rate_hz), 10
-    coder.options = {"tune": "zerolatency", "preset": "ultrafast"}
-    packets = []
-    for index, pixels in enumerate(pictures):
-        frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
-        frame.pts = index
-        packets += coder.encode(frame)
-    packets += coder.encode(None)
-    units = [bytes(one).replace(b"\0\0\0\1", b"\0\0\1").split(b"\0\0\1") for one in packets]
+    units = [
+        data.replace(b"\0\0\0\1", b"\0\0\1").split(b"\0\0\1")
+        for _, data in packets(pictures, "h264", keyframe_every=10)
+    ]
     return [[unit for unit in one if unit] for one in units]
 
 

@@ -115,14 +115,6 @@ def test_the_jaco_is_the_published_one():
     assert np.abs(by_pinocchio(JACO_URDF, path) - joint_efforts_nm(arm, path)).max() < 1e-9
 
 
-@pytest.mark.parametrize("payload", [None, Payload(0.0), Payload(1.3, (0.03, -0.02, 0.01))])
-def test_two_libraries_agree_on_the_jaco(payload: Payload | None):
-    arm = jaco()
-    for path in (circle(30), random_path(arm, 4, rate_hz=30)):
-        assert off_nm(arm, path, payload) < 1e-9
-        assert np.sqrt(np.mean(joint_efforts_nm(arm, path, payload) ** 2)) > 1
-
-
 @needs_pybullet
 @pytest.mark.parametrize(
     ("name", "tool", "tolerance"),
@@ -192,9 +184,7 @@ def test_a_moment_below_0_is_raised_and_said(tmp_path: Path):
     assert off_nm(arm, STILL) < 1e-9
 
 
-@pytest.mark.parametrize(
-    "inertial", ['<mass value="-1"/>', '<mass value="nan"/>', '<inertia ixx="-1"/>', ""]
-)
+@pytest.mark.parametrize("inertial", ['<mass value="-1"/>', '<inertia ixx="-1"/>', ""])
 def test_what_a_base_weighs_is_never_asked(tmp_path: Path, inertial: str):
     base = f'<link name="base"><inertial>{inertial}</inertial></link>'
     arm = arm_of(tmp_path, GRASPING.replace(link("base", None), base))
@@ -304,14 +294,6 @@ def test_a_link_where_no_arm_ends_is_refused(tmp_path: Path, tool: str, says: st
         arm_of(tmp_path, GRASPING, tool)
 
 
-@pytest.mark.parametrize("mass", [-0.1, float("nan"), float("inf"), 1e5])
-def test_engines_never_see_a_bad_payload(mass: float):
-    with pytest.raises(UsageError, match="payload"):
-        Payload(mass)
-    with pytest.raises(UsageError, match="payload"):
-        Payload(1.0, (0.0, mass * 1e3, 0.0))
-
-
 # ---- Arms by name
 
 # Of the gripper by its maker's manual, and by the paper's first author.
@@ -345,10 +327,11 @@ PUBLISHED_KG = {
 @pytest.mark.usefixtures("each_engine")
 @pytest.mark.parametrize("name", ARMS)
 def test_an_engine_and_another_library_agree(name: str):
-    arm, held = known_arm(name).arm(), Payload(0.7, (0.02, -0.01, 0.05))
+    arm = known_arm(name).arm()
     path = random_path(arm, 4, rate_hz=10, seconds=3)
-    assert off_nm(arm, path, held) < 1e-9
-    assert np.sqrt(np.mean(joint_efforts_nm(arm, path, held) ** 2)) > 1
+    for held in (None, Payload(0.0), Payload(0.7, (0.02, -0.01, 0.05))):
+        assert off_nm(arm, path, held) < 1e-9
+        assert np.sqrt(np.mean(joint_efforts_nm(arm, path, held) ** 2)) > 1
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -374,17 +357,6 @@ def test_every_description_has_a_name_and_a_source():
     assert (default.urdf, default.tool_link) == (JACO_URDF, JACO_TOOL_LINK)
 
 
-def test_a_name_that_is_none_is_one_line_with_the_nearest():
-    for name, says in (
-        ("pandda", "--arm pandda: no such arm; did you mean panda or panda-"),
-        ("ur5", "did you mean ur5e or ur10e"),
-        ("scara", r"known are jaco7-robotiq85, jaco7, jaco6.*--urdf FILE"),
-    ):
-        with pytest.raises(UsageError, match=says):
-            known_arm(name)
-    assert known_arm("UR5e").name == "ur5e"
-
-
 @pytest.mark.parametrize(
     ("columns", "names"),
     [
@@ -403,8 +375,11 @@ def test_joints_names_say_whose_they_are(columns: tuple[str, ...], names: list[s
     assert [known.name for known in arms_called((*columns, "finger_joint"))] == names
 
 
-def test_joints_are_called_as_the_log_calls_them():
+def test_an_arm_is_called_as_a_log_or_a_user_calls_it():
     lwr = known_arm("lwr")
     columns = tuple(f"lwr_{axis}_joint" for axis in ("a1", "a2", "e1", "a3", "a4", "a5", "a6"))
     assert lwr.arm(columns[::-1]).joint_names == columns
     assert lwr.arm().joint_names == tuple(f"lwr_arm_{number}_joint" for number in range(7))
+    assert known_arm("UR5e").name == "ur5e"
+    with pytest.raises(UsageError, match=r"known are jaco7-robotiq85, jaco7, jaco6.*--urdf FILE"):
+        known_arm("scara")

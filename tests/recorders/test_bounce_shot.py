@@ -14,7 +14,6 @@ from tunenet_logs.recorders.simulators.ball import SpeedLaw
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.recorders.simulators.shot import (
     BallStates,
-    BounceShot,
     Hoop,
     Plane,
     Release,
@@ -132,22 +131,6 @@ def test_smooth_and_elastic_it_keeps_its_energy_through_all_impacts(step_s: floa
     assert np.abs(energy - at_rest)[flying].max() < 1e-6
 
 
-def test_weak_gravity_only_slows_it():
-    """Without air the path does not depend on gravity, only the time it takes."""
-    slow = replace(NO_AIR, gravity_m_s2=0.1)
-    here = passes(NO_AIR, SpeedLaw(0.7), HEIGHTS, np.zeros(len(HEIGHTS)))
-    there = passes(slow, SpeedLaw(0.7), HEIGHTS, np.zeros(len(HEIGHTS)))
-    assert np.allclose(here.offset_m, there.offset_m, atol=1e-4)
-
-
-@pytest.mark.parametrize("ball", [ShotBall(), ShotBall(mass_kg=0.002), ShotBall(mass_kg=None)])
-def test_a_long_fall_has_the_time_it_takes(ball: ShotBall):
-    rig = replace(RIG, ball=ball, release=Release(0.25, 50.0))
-    flights = passes(rig, SpeedLaw(0.8), np.array([20.0, 50.0]), np.zeros(2))
-    assert np.isfinite(flights.offset_m).all()
-    assert (flights.offset_m[:, 0] > 0).all()
-
-
 def test_before_the_impact_nothing_counts():
     """A hoop above the impact point, beside the fall: only a ball that bounced is through."""
     rig = replace(RIG, hoop=Hoop(forward_m=0.35, up_m=0.15, free_radius_m=0.1))
@@ -173,15 +156,6 @@ def test_friction_stops_the_slip_or_takes_coulombs_share():
         else:
             assert after == pytest.approx(before - friction * 5.1)
             assert slip[0, :2] @ [1.0, 0.5] > 0
-
-
-def test_a_dead_ball_rolls_off_the_board():
-    flights = shoot(NO_AIR, SpeedLaw(0.0), np.array([0.3]))
-    path = flights.positions_m[:, 0]
-    on_board = path @ NO_AIR.plane.downhill < NO_AIR.plane.downhill_m
-    assert ((path @ NO_AIR.plane.normal)[on_board] > 0.03 - 1e-8).all()
-    assert path[-1, 2] < NO_AIR.hoop.up_m
-    assert not flights.is_through[0]
 
 
 @pytest.mark.parametrize(
@@ -259,13 +233,6 @@ def test_a_bad_file_is_refused_by_name_and_value(tmp_path: Path, text: str, said
     assert str(error.value).startswith(f"{path}: ")
     assert said in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_a_value_that_no_shot_has_is_refused():
-    with pytest.raises(UsageError, match=r"restitution 1\.2 is"):
-        BounceShot(RIG, 0.4).rollout({"restitution": 1.2})
-    with pytest.raises(UsageError, match="height_m nan"):
-        BounceShot(RIG, float("nan"))
 
 
 def test_each_ball_may_have_a_drag_of_its_own():

@@ -1,31 +1,48 @@
-"""The border to the physics engines: what each must keep, and how one is chosen."""
+"""Every engine keeps the same laws, a falling ball's among them; and how one is chosen."""
 
 from __future__ import annotations
 
 import math
 import os
 from dataclasses import replace
+from math import sqrt
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from tests.engines import HAS_PYBULLET, needs_pybullet
-from tests.recorders.test_arm_description import by_pinocchio
+from tests.strangers import bounce_heights
+from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import UsageError
 from tunenet_logs.recorders.simulators.arm.description import Payload, jaco
-from tunenet_logs.recorders.simulators.arm.path import circle, circle_at, random_path
+from tunenet_logs.recorders.simulators.arm.path import circle_at
 from tunenet_logs.recorders.simulators.arm.payload import PAPER as PAPER_ROLLOUT
 from tunenet_logs.recorders.simulators.arm.payload import (
-    PayloadSimulator,
     joint_efforts_nm,
     roll_out,
 )
-from tunenet_logs.recorders.simulators.ball import TOPIC, DropRig, DropSimulator, SpeedLaw
-from tunenet_logs.recorders.simulators.base import CALIBRATED, PAPER, Engine
-from tunenet_logs.recorders.simulators.known import ENGINE_VARIABLE, ENGINES, engine, simulated_by
+from tunenet_logs.recorders.simulators.ball import (
+    TOPIC,
+    Bounce,
+    DropRig,
+    DropSimulator,
+    SpeedLaw,
+)
+from tunenet_logs.recorders.simulators.base import CALIBRATED, PAPER, ContactSettings
+from tunenet_logs.recorders.simulators.known import (
+    BALLS,
+    ENGINE_VARIABLE,
+    ENGINES,
+    Ball,
+    ball_named,
+    completed,
+    engine,
+    recorded_ball,
+    simulated_by,
+)
 from tunenet_logs.recorders.simulators.shot import (
     STEP_S,
-    BounceShot,
     ShotRig,
     shoot,
     shoot_in_engine,
@@ -34,10 +51,12 @@ from tunenet_logs.recorders.simulators.shot import (
 RIG = DropRig(gap_m=1.0, rate_hz=240.0, samples=300)
 RADIUS_M = 0.05
 
+every_engine = pytest.mark.usefixtures("each_engine")
+
 # ---- Laws of every engine, beside those of the drop and the arm: impacts, shots, and torques
 
 
-@pytest.mark.usefixtures("each_engine")
+@every_engine
 @pytest.mark.parametrize("share", [0.4, 2 / 3])
 def test_an_impact_is_a_rigid_balls(share: float):
     """Newton's law along the normal; across it friction stops the slip, or takes its share."""
@@ -60,7 +79,7 @@ def test_an_impact_is_a_rigid_balls(share: float):
         assert RADIUS_M * turning == pytest.approx(RADIUS_M * turned, abs=1e-3)
 
 
-@pytest.mark.usefixtures("each_engine")
+@every_engine
 def test_an_impact_leaves_nothing_for_the_next():
     world = engine().ball_world(RADIUS_M, CALIBRATED)
     one = (np.array([1.0, 0.5, -2.0]), np.array([10.0, -20.0, 5.0]), 0.7, 0.3, 0.4)
@@ -71,7 +90,7 @@ def test_an_impact_leaves_nothing_for_the_next():
     assert np.array_equal(first, world.impact(*one))
 
 
-@pytest.mark.usefixtures("each_engine")
+@every_engine
 @pytest.mark.parametrize("height_m", [0.2, 0.3, 0.45])
 def test_a_shot_flies_as_the_closed_form_has_it(height_m: float):
     """Off the plane and off the rim, with spin and air: within a tenth of a millimetre."""
@@ -82,28 +101,6 @@ def test_a_shot_flies_as_the_closed_form_has_it(height_m: float):
     assert found.is_through == wanted.is_through
     first = slice(None, None) if not wanted.has_touched[0] else slice(0, 200)
     assert found.positions_m[first] == pytest.approx(wanted.positions_m[first], abs=1e-4)
-
-
-@pytest.mark.usefixtures("each_engine")
-@pytest.mark.parametrize("held", [None, Payload(0.8, (0.03, -0.02, 0.05))])
-def test_torques_are_pinocchios(held: Payload | None):
-    arm = jaco()
-    for path in (circle(), random_path(arm, 5)):
-        wanted = by_pinocchio(arm.urdf(held), path)
-        assert np.abs(joint_efforts_nm(arm, path, held) - wanted).max() < 1e-6
-
-
-def test_simulators_say_their_engine_and_their_steps(each_engine: str):
-    drop = DropSimulator(RIG)
-    assert (drop.engine, drop.step_hz) == (engine().name, 240.0)
-    shot = BounceShot(ShotRig(), height_m=0.5, rate_hz=240.0)
-    assert shot.step_hz == 720.0
-    assert shot.rollout({"restitution": 0.7}).info.source == f"{shot.engine}, bounce shot"
-    arm = PayloadSimulator(jaco(), circle(60.0))
-    assert arm.step_hz == pytest.approx(60.0)
-    assert arm.rollout({"payload_mass": 0.5}).info.source == f"{arm.engine}, inverse dynamics"
-    assert {drop.engine, shot.engine, arm.engine} == {engine(each_engine).name}
-    assert drop.engine.startswith(f"{each_engine} ")
 
 
 # ---- Another engine is a module and one line; one is chosen by name
@@ -124,15 +121,6 @@ def test_a_drop_runs_in_another_engine(monkeypatch: pytest.MonkeyPatch, restitut
     found = speeds / (CALIBRATED.gravity_m_s2 * fall_s)
     assert found == pytest.approx(np.full(len(t), restitution), abs=1e-3)
     assert simulator.engine == episode.info.source == "exact 1.0"
-
-
-@needs_pybullet
-def test_every_engine_offers_what_the_protocol_names():
-    from tunenet_logs.recorders.simulators import mujoco
-    from tunenet_logs.recorders.simulators import pybullet as bullet
-
-    offered: tuple[Engine, Engine] = (bullet, mujoco)  # pyright compares the signatures
-    assert [one.name.split()[0] for one in offered] == list(ENGINES)
 
 
 def test_one_is_chosen_for_a_block_and_the_processes_in_it():
@@ -161,12 +149,6 @@ def test_an_engine_that_is_none_is_named(monkeypatch: pytest.MonkeyPatch, name: 
 HELD = Payload(0.7, (0.01, 0.02, -0.01))
 
 
-def heights(rig: DropRig, restitution: float) -> np.ndarray:
-    """Height under the ball [m], shape (T,)."""
-    episode = DropSimulator(rig, PAPER).rollout({"restitution": restitution})
-    return episode.signals[TOPIC].values[:, 2] - rig.radius_m
-
-
 @needs_pybullet
 def test_the_papers_rollouts_are_bit_identical_and_many_steps_are_single_ones():
     rig = DropRig(gap_m=2.0)
@@ -175,7 +157,7 @@ def test_the_papers_rollouts_are_bit_identical_and_many_steps_are_single_ones():
     simulator.rollout({"restitution": 0.2})
     again = simulator.with_rig(rig).rollout({"restitution": 0.6}).signals[TOPIC].values
     assert np.array_equal(first, again)
-    assert np.array_equal(first[:, 2] - rig.radius_m, heights(rig, 0.6))
+    assert np.array_equal(first[:, 2] - rig.radius_m, heights(rig, PAPER, restitution=0.6))
     world = engine().ball_world(0.5, PAPER)
     world.place(4.2, 0.6)
     singly = [world.step(1 / 60)[0] for _ in range(300)]
@@ -189,15 +171,15 @@ def test_the_papers_rollouts_are_bit_identical_and_many_steps_are_single_ones():
 def test_a_held_ball_starts_late_with_the_papers_settings(hold_s: float):
     rig = DropRig(gap_m=4.0, radius_m=0.5, samples=100)
     held = round(hold_s * rig.rate_hz)
-    curve = heights(replace(rig, hold_s=hold_s), 0.5)
+    curve = heights(replace(rig, hold_s=hold_s), PAPER, restitution=0.5)
     assert np.array_equal(curve[:held], np.full(min(held, 100), 4.0))
-    assert np.array_equal(curve[held:], heights(rig, 0.5)[: max(100 - held, 0)])
+    assert np.array_equal(curve[held:], heights(rig, PAPER, restitution=0.5)[: max(100 - held, 0)])
 
 
 @needs_pybullet
 def test_the_papers_settings_give_the_papers_restitution_and_no_air():
     """At 60 Hz with PyBullet's defaults .5 gives about .534 (measured over 4 to 5 m)."""
-    curve = heights(DropRig(gap_m=4.0, radius_m=0.5), 0.5)
+    curve = heights(DropRig(gap_m=4.0, radius_m=0.5), PAPER, restitution=0.5)
     low = int(np.argmin(curve[:90]))
     assert 0.4 < np.sqrt(curve[low:].max() / curve[0]) < 0.6
     assert len(curve) == 400
@@ -223,3 +205,159 @@ def test_without_pybullet_there_is_none():
             DropSimulator(DropRig(), PAPER)
         with pytest.raises(UsageError, match=words):
             roll_out(jaco(), circle_at(PAPER_ROLLOUT.times()), HELD, PAPER_ROLLOUT)
+
+
+# ---- A falling ball in every engine and in closed form: the restitution set is the one that is got
+
+
+def heights(rig: DropRig, settings: ContactSettings = CALIBRATED, **values: float) -> np.ndarray:
+    """Height under the ball [m], shape (T,)."""
+    episode = DropSimulator(rig, settings).rollout(values)
+    return episode.signals[TOPIC].values[:, 2] - rig.radius_m
+
+
+@every_engine
+@pytest.mark.parametrize(("gap", "radius"), [(0.2, 0.2), (1.3, 0.02), (1.3, 0.5), (5.0, 0.01)])
+@pytest.mark.parametrize("rate", [30.0, 60.0, 240.0])
+@pytest.mark.parametrize("restitution", [0.0, 0.05, 0.4, 0.8, 1.0])
+def test_follows_the_closed_form(gap: float, radius: float, rate: float, restitution: float):
+    rig = DropRig(gap_m=gap, radius_m=radius, rate_hz=rate, samples=int(3 * rate), hold_s=0.213)
+    times = np.arange(rig.samples) / rate - rig.hold_s
+    exact = bounce_heights(restitution, gap, times, CALIBRATED.gravity_m_s2)
+    assert np.abs(heights(rig, restitution=restitution) - exact).max() < 1e-4
+
+
+@every_engine
+def test_a_ball_at_rest_stays_and_a_world_that_others_have_used_gives_the_bits_of_a_fresh_one():
+    curve = heights(DropRig(gap_m=0.3, rate_hz=60, samples=3000), restitution=0.7)
+    assert np.abs(curve[-1000:]).max() < 1e-6
+    rig = DropRig(gap_m=0.7, rate_hz=120.0, samples=300, hold_s=0.1)
+    values = {"restitution": 0.7, "restitution_slope": 0.05, "drag": 0.1}
+    fresh = DropSimulator(rig, CALIBRATED, engine().ball_world(rig.radius_m, CALIBRATED))
+    simulator = DropSimulator(DropRig(gap_m=1.9))
+    simulator.rollout({"restitution": 0.2})
+    runs = [one.rollout(values) for one in (fresh, DropSimulator(rig), simulator.with_rig(rig))]
+    first, *others = (run.signals[TOPIC].values for run in runs)
+    assert all(np.array_equal(first, other) for other in others)
+
+
+@every_engine
+def test_samples_are_taken_when_they_are_asked_for():
+    times_s = (0.0, 0.1, 0.13, 0.4, 1.7)
+    uneven = DropSimulator(DropRig(times_s=times_s)).rollout({"restitution": 0.7, "drag": 0.1})
+    assert uneven.signals[TOPIC].seconds == pytest.approx(times_s, abs=1e-9)
+    even = DropSimulator(DropRig(rate_hz=100.0, samples=200))
+    heights_m = even.rollout({"restitution": 0.7, "drag": 0.1}).signals[TOPIC].values[:, 2]
+    rows = [round(100 * at_s) for at_s in times_s]
+    assert uneven.signals[TOPIC].values[:, 2] == pytest.approx(heights_m[rows], abs=2e-5)
+
+
+def integrated(
+    gap_m: float, ball: tuple[float, float, float], seconds: np.ndarray, gravity: float = 9.80665
+) -> np.ndarray:
+    """Heights of the underside by a general integrator, NaN after the fifth impact."""
+    restitution, slope, drag_1_m = ball
+
+    def rates(_: float, state: np.ndarray) -> list[float]:
+        return [state[1], -gravity - drag_1_m * state[1] * abs(state[1])]
+
+    def lands(_: float, state: np.ndarray) -> float:
+        return state[0]
+
+    lands.terminal, lands.direction = True, -1  # type: ignore[attr-defined]
+    found = np.full(len(seconds), np.nan)
+    begin_s, state, first = 0.0, [gap_m, 0.0], 0.0
+    for _ in range(5):
+        flight = solve_ivp(
+            rates, (begin_s, seconds[-1]), state, events=lands, rtol=1e-10, atol=1e-11,
+            dense_output=True,
+        )  # fmt: skip
+        inside = (seconds >= begin_s) & (seconds <= flight.t[-1])
+        found[inside] = flight.sol(seconds[inside])[0]
+        if not len(flight.t_events[0]):
+            break
+        begin_s, speed = float(flight.t_events[0][0]), -float(flight.y_events[0][0][1])
+        first = first or speed
+        state = [1e-14, min(restitution * max(speed, 0.05) ** -slope * first**slope, 1.0) * speed]
+    return found
+
+
+@every_engine
+@pytest.mark.parametrize("ball", [(0.9, 0.05, 0.12), (0.75, 0.1, 0.02), (0.5, 0.03, 0.18)])
+def test_air_and_slope_move_it_as_an_integrator_has_it(ball: tuple[float, float, float]):
+    for gap_m in np.linspace(0.2, 5.0, 25):
+        rig = DropRig(gap_m=float(gap_m), rate_hz=100.0, samples=500)
+        values = {"restitution": ball[0], "restitution_slope": ball[1], "drag": ball[2]}
+        off_m = heights(rig, **values) - integrated(float(gap_m), ball, np.arange(500) / 100.0)
+        assert np.nanmax(np.abs(off_m)) < 1e-4
+        assert DropSimulator(rig).rollout(values).info.truth == values
+
+
+# ---- The closed form
+
+
+@pytest.mark.parametrize(
+    "values", [(0.75, 0.15, 0.0), (0.75, 0.0, 0.1), (0.75, 0.1, 0.03), (0.3, 0, 0), (0.97, 0, 0)]
+)
+def test_slope_and_drag_are_those_of_the_equation_of_motion(values: tuple[float, float, float]):
+    """In its units, in which a fall from 1 takes 1 without air, gravity is 2."""
+    ball, drag = Bounce(*values), values[2]
+    fall = np.arccosh(np.exp(drag)) / np.sqrt(2 * drag) if drag else 1.0
+    places = np.linspace(-fall, 4.0, 500)
+    seen = (ball.restitution, ball.slope, ball.drag)
+    wanted = integrated(1.0, seen, places + fall, gravity=2.0)
+    assert np.isfinite(wanted).mean() > 0.3
+    assert np.nanmax(np.abs(ball.heights(places) - wanted)) < 1e-6
+
+
+def test_impacts_by_hand_before_the_fall_and_after_the_last_flight():
+    assert Bounce(0.5).flights(1.6)[0][:4] == pytest.approx([0, 1, 1.5, 1.75])
+    assert Bounce(1.0).flights(3.9)[0] == pytest.approx([0, 2, 4])
+    assert Bounce(0.0).flights(9.0)[0] == pytest.approx([0])
+    assert Bounce(0.5).heights(np.array([-3.0, -1.0])) == pytest.approx([1, 1])
+    assert Bounce(0.5).heights(np.array([2.0, 5.0, 1e6])) == pytest.approx([0, 0, 0], abs=1e-9)
+    assert Bounce(0.5, 0.1, 0.05).heights(np.array([5.0, 1e6])) == pytest.approx([0, 0], abs=1e-9)
+
+
+# ---- Balls by name: what the air does to them, and what no ball can be
+
+
+@pytest.mark.parametrize("name", sorted(BALLS))
+def test_each_ball_of_the_table_is_one(name: str):
+    ball = BALLS[name]
+    assert ball.density_kg_m3 is not None
+    assert 50 < ball.density_kg_m3 < 1300  # hollow, or hard rubber
+    assert 0.4 < ball.drag_coefficient < 0.7
+    assert not ball.is_denser_than_metal
+
+
+def test_light_and_large_balls_are_slowed_most():
+    # by how much air slows the end of a fall from 1 m: about drag * height / 2
+    slowed = {"table-tennis": 0.066, "tennis": 0.010, "golf": 0.0047, "basketball": 0.011}
+    for name, share in slowed.items():
+        drag = ball_named(name).drag_1_m
+        assert drag is not None
+        assert drag / 2 == pytest.approx(share, rel=0.1)
+        if name == "table-tennis":  # terminal speeds of 8.1 to 9.3 m/s
+            assert sqrt(9.81 / drag) == pytest.approx(8.7, abs=0.6)
+
+
+def test_a_very_heavy_ball_is_a_ball_that_may_be_a_mistake():
+    assert Ball(0.04, 10.0).drag_1_m == pytest.approx(3.5e-5, rel=0.05)
+    assert Ball(0.04, 10.0).is_denser_than_metal
+    assert not Ball(0.04, 0.26).is_denser_than_metal  # steel
+
+
+def test_what_a_log_says_of_its_ball_and_what_a_user_knows_better():
+    tennis = Ball(0.067, 0.058, 0.55)
+    info = EpisodeInfo(notes={"ball": "tennis"}, rig={"ball_mass_kg": 0.058})
+    assert recorded_ball(info) == tennis
+    assert recorded_ball(EpisodeInfo(notes={"ball": "red rubber"})) == Ball()
+    nobody_measured = EpisodeInfo(rig={"ball_diameter_m": 0.04, "ball_mass_kg": 0.0})
+    assert recorded_ball(nobody_measured) == Ball(0.04)
+    floats = EpisodeInfo(rig={"ball_diameter_m": 4.0, "ball_mass_kg": 0.0027})
+    assert recorded_ball(floats) == Ball()
+    assert completed(Ball(), tennis) == tennis
+    assert completed(Ball(0.040), tennis) == Ball(0.040, 0.058)
+    assert completed(BALLS["golf"], tennis) == BALLS["golf"]
+    assert completed(Ball(4.0), Ball(None, 0.0027)) == Ball(4.0)

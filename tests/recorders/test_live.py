@@ -1,41 +1,46 @@
-"""Several streams in one log: nothing lost, whatever ends the recording; and their queue."""
+"""Several streams in one log: nothing lost, whatever ends it or is done to its file."""
 
 from __future__ import annotations
 
 import os
+import random
+import shutil
 import signal
+import subprocess
+import sys
 import threading
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.conftest import files_no_larger_than
 from tests.recorders.live_recorder import (
+    ATTACKS,
     JOINTS,
     NAMES,
+    OF_OURS,
     PICTURES,
-    Progress,
+    attack,
     check_whole_file,
+    contend,
+    contenders,
     found_in,
     frame_of,
     joints_of,
     missing_s,
+    progress_of,
     started,
 )  # fmt: skip
-from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
+from tests.recorders.live_wait import LAST_RESORT_S, Terminal, ended, ending, recorder, wait_until
+from tests.recorders.mjpeg_camera import playing
 from tunenet_logs import messages
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.reader import read_episode
-from tunenet_logs.recorders.session import LiveRecording, TopicQueue, record_episode
-from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
-from tunenet_logs.terminal import Bar
-from tunenet_logs.terminal import Progress as Bars
+from tunenet_logs.recorders.session import LiveRecording, TopicQueue
 from tunenet_logs.timing.stamps import now_ns
+from tunenet_logs.writing.owned_path import ClaimedName
+from tunenet_logs.writing.writer import EpisodeWriter
 
 pytestmark = pytest.mark.live
 slow = pytest.mark.slow
@@ -44,8 +49,7 @@ INFO = EpisodeInfo(kind="test")
 
 
 def wait_for_joints(folder: Path, count: int) -> None:
-    """Wait until a recorder has put so many states of the arm."""
-    row = Progress(folder / "progress").row(JOINTS)
+    row = progress_of(folder, JOINTS)
     wait_until(lambda: row[0] >= count, f"{count} states of the arm")
 
 
@@ -55,8 +59,7 @@ def wait_for_joints(folder: Path, count: int) -> None:
 def test_killed_it_has_all_that_was_acknowledged(tmp_path: Path, joints: int):
     with ending(started(tmp_path)) as process:
         wait_for_joints(tmp_path, joints)
-        process.kill()
-        process.communicate()
+        ended(process, signal.SIGKILL, -signal.SIGKILL)
     missing_s(tmp_path, tmp_path / "a.mcap.active")
 
 
@@ -72,20 +75,14 @@ def test_killed_it_has_all_that_was_acknowledged(tmp_path: Path, joints: int):
 def test_a_signal_ends_it_whole_and_every_count_agrees(tmp_path: Path, number: int, joints: int):
     with ending(started(tmp_path)) as process:
         wait_for_joints(tmp_path, joints)
-        process.send_signal(number)
-        said, _ = process.communicate(timeout=LAST_RESORT_S)
-    assert process.returncode == 0
-    check_whole_file(tmp_path / "a.mcap", said)
-    progress = Progress(tmp_path / "progress")
+        check_whole_file(tmp_path / "a.mcap", ended(process, number)[0])
     found = found_in(tmp_path / "a.mcap")
     assert {topic: one.messages for topic, one in found.items()} == {
-        topic: int(progress.row(topic)[0]) for topic in found
+        topic: int(progress_of(tmp_path, topic)[0]) for topic in found
     }
 
 
-def test_after_a_tenth_of_a_second_it_is_on_disk_although_nothing_more_comes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_it_is_on_disk_after_a_tenth_of_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     class Clock:
         """The writer's, which the test turns."""
 
@@ -125,27 +122,6 @@ def test_any_message_that_is_encoded_already_goes_in_as_it_is(tmp_path: Path):
     )
 
 
-def test_the_first_write_error_ends_it_and_says_how_much_is_kept(tmp_path: Path):
-    recording = LiveRecording(tmp_path / "a.mcap", INFO)
-    number = 0
-    with files_no_larger_than(500_000):
-        while recording.put_frame(PICTURES, Frame(1 + number, "jpeg", frame_of(number))):
-            number += 1
-            time.sleep(0.001)  # as a camera does
-        assert recording.wait(LAST_RESORT_S)
-    with pytest.raises(LogError, match=r"writing failed .* kept in a\.mcap") as caught:
-        recording.close()
-    episode = read_episode(tmp_path / "a.mcap")
-    frames = [frame.data for frame in episode.frames()]
-    counts = episode.info.counts
-    assert frames == [frame_of(index) for index in range(len(frames))]
-    assert len(frames) > 1
-    assert counts["captured"] == number == counts["written"] + counts["dropped"]
-    assert counts["written"] == len(frames) == recording.summary.written
-    assert f"{len(frames)} of {number} messages are kept" in str(caught.value)
-    assert not episode.warnings
-
-
 def test_what_comes_too_fast_is_dropped_and_counted_by_topic(tmp_path: Path):
     recording = LiveRecording(tmp_path / "a.mcap", INFO, queue_bytes=100_000)
     number = 0
@@ -161,56 +137,6 @@ def test_what_comes_too_fast_is_dropped_and_counted_by_topic(tmp_path: Path):
     assert counts[f"dropped.{PICTURES}"] > 0
     found = found_in(tmp_path / "a.mcap")
     assert sum(one.messages for one in found.values()) == summary.written == counts["written"]
-
-
-def test_a_recording_that_is_discarded_leaves_nothing(tmp_path: Path):
-    recording = LiveRecording(tmp_path / "a.mcap", INFO)
-    recording.put_joints(JOINTS, 7, NAMES, *joints_of(0))
-    recording.discard()
-    assert not list(tmp_path.iterdir())
-
-
-def test_what_a_recorder_counts_is_in_the_log(tmp_path: Path):
-    with LiveRecording(tmp_path / "a.mcap", INFO) as recording:
-        recording.put_joints(JOINTS, 7, NAMES, *joints_of(0))
-        recording.count(f"gaps.{JOINTS}", 3)
-    assert read_episode(tmp_path / "a.mcap").info.counts[f"gaps.{JOINTS}"] == 3
-
-
-# ---- What is simulated
-
-
-class StopsAfter(Bars):
-    """Sends a real signal to this process after so many samples."""
-
-    def __init__(self, samples: int) -> None:
-        super().__init__(quiet=True)
-        self.left = samples
-
-    @contextmanager
-    def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:
-        yield self
-
-    def set_postfix_str(self, text: str, /, *, refresh: bool) -> None:
-        pass
-
-    def update(self, done: int, /) -> None:
-        self.left -= done
-        if self.left == 0:
-            os.kill(os.getpid(), signal.SIGTERM)
-
-
-def test_a_signal_ends_the_recording_of_a_simulation_whole(tmp_path: Path):
-    path, before = tmp_path / "a.mcap", signal.getsignal(signal.SIGTERM)
-    episode = simulate_drop(DropOrder(seed=1))
-    summary = record_episode(episode, path, overwrite=False, progress=StopsAfter(100))
-    back = read_episode(path)
-    assert summary.captured == summary.written == back.info.counts["written"] == 100
-    assert len(back.signals["/ball/pose"].values) == 100
-    assert summary.ended
-    assert "signal" in back.info.notes["ended"]
-    assert not back.warnings
-    assert signal.getsignal(signal.SIGTERM) is before
 
 
 # ---- The queue between a source and the writer
@@ -266,3 +192,134 @@ def test_a_queue_that_must_not_drop_makes_the_source_wait():
             assert queue.captured <= len(seen) + 1  # the next one, at most, waits inside
     thread.join()
     assert (seen, queue.dropped) == (list(range(10)), 0)
+
+
+# ---- A recording's file is its own: two writers to one name, and files that are taken away
+
+
+@pytest.mark.live
+def test_of_two_writers_to_one_name_one_wins_and_the_other_refuses(tmp_path: Path):
+    rng = random.Random(1)
+    with contenders(2) as both:
+        for number in range(40):
+            overwrite = number % 2 == 1
+            left = rng.choice(["", "log", "active"] if overwrite else [""])
+            contend(both, tmp_path, rng, overwrite=overwrite, left=left)
+
+
+@pytest.mark.live
+@pytest.mark.parametrize(
+    ("how", "ends"),
+    [
+        *((how, False) for how in ATTACKS),
+        *(
+            pytest.param(how, True, marks=[pytest.mark.slow] * (how != "removed"))
+            for how in ATTACKS
+        ),
+    ],
+)
+def test_a_file_that_is_taken_away_loses_nothing(tmp_path: Path, how: str, ends: bool):
+    said = attack(tmp_path, how, 0.0, ends=ends, acknowledged=200)
+    where = {
+        "folder removed": str(tmp_path / "tmp" / "a.rescued.mcap"),
+        "moved": "moved.mcap",
+        "folder renamed": str(tmp_path / "renamed" / "a.mcap.active"),
+    }.get(how, "a.rescued.mcap")
+    assert f"are kept in {where}; leave that file where it is" in said.replace(
+        f"{tmp_path}/logs/moved", "moved"
+    )
+
+
+@pytest.mark.parametrize("harm", [b"", b"more"])
+def test_a_file_that_another_program_writes_to_is_no_whole_log(tmp_path: Path, harm: bytes):
+    writer = EpisodeWriter(tmp_path / "a.mcap", EpisodeInfo())
+    writer.write_message("/a", "std_msgs/msg/String", 1, bytes(12))
+    with writer.active_path.open("ab" if harm else "wb") as file:
+        file.write(harm)
+    with pytest.raises(LogError, match=r"another program cut it or wrote to it.*recover$"):
+        writer.close()
+    assert [one.name for one in tmp_path.iterdir()] == ["a.mcap.active"]
+    writer.close()
+
+
+def test_a_loss_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "none"))
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    writer = EpisodeWriter(folder / "a.mcap", EpisodeInfo())
+    writer.write_message("/a", "std_msgs/msg/String", 1, bytes(12))
+    shutil.rmtree(folder)
+    with pytest.raises(LogError, match="1 of 1 messages are lost: no copy of them could be"):
+        writer.close()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda active: active.symlink_to(active.with_name("aim")),
+        os.mkfifo,
+        Path.mkdir,
+        lambda active: os.mknod(active, 0o140644),
+    ],
+    ids=["link", "pipe", "folder", "socket"],
+)
+def test_what_is_no_file_is_neither_followed_nor_waited_for(tmp_path: Path, make):
+    make(tmp_path / "a.mcap.active")
+    for overwrite in (False, True):
+        with pytest.raises(LogError, match=r"a\.mcap\.active: is no regular file; move it away"):
+            EpisodeWriter(tmp_path / "a.mcap", EpisodeInfo(), overwrite=overwrite)
+    assert [one.name for one in tmp_path.iterdir()] == ["a.mcap.active"]
+
+
+def test_a_hard_link_keeps_its_bytes_and_a_stranger_at_the_name_stays(tmp_path: Path):
+    backup, left = tmp_path / "backup", OF_OURS + b"what a killed recorder left"
+    backup.write_bytes(left)
+    (tmp_path / "a.mcap.active").hardlink_to(backup)
+    with EpisodeWriter(tmp_path / "a.mcap", EpisodeInfo(), overwrite=True):
+        pass
+    assert backup.read_bytes() == left
+    writer = EpisodeWriter(tmp_path / "b.mcap", EpisodeInfo())
+    writer.active_path.unlink()
+    writer.active_path.write_bytes(b"mine")
+    writer.discard()
+    assert writer.active_path.read_bytes() == b"mine"
+    ClaimedName(tmp_path / "c", takes_over=False)  # a claim that is dropped leaves nothing
+    assert not list(tmp_path.glob("c*"))
+
+
+# Makes the terminal that of the command, so that its end is the command's.
+_LEADER = """
+import fcntl, os, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
+
+
+@pytest.mark.live
+def test_a_closed_terminal_ends_a_recording_whole(tmp_path: Path):
+    terminal = Terminal()
+    ends = dict.fromkeys(("stdin", "stdout", "stderr"), terminal.theirs)
+    leader = (sys.executable, "-c", _LEADER)
+    with playing(frames=2000, rate_hz=60, distinct=16) as camera:
+        words = ("--camera", f"http://{camera}")
+        with recorder(tmp_path, *words, before=leader, start_new_session=True, **ends) as process:
+            terminal.wait_for(r"[1-9]\d*frame")
+            terminal.close()  # as a lost connection does: SIGHUP, and no write succeeds any more
+            process.wait(LAST_RESORT_S)
+    episode = read_episode(tmp_path / "a.mcap")
+    assert not episode.warnings
+    assert episode.info.notes["ended"] == "stopped by a signal"
+    assert not (tmp_path / "a.mcap.active").exists()
+
+
+@pytest.mark.live
+def test_under_nohup_a_hangup_ends_nothing(tmp_path: Path):
+    hangs_up = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        process = started(tmp_path, [JOINTS])
+    finally:
+        signal.signal(signal.SIGHUP, hangs_up)
+    process.send_signal(signal.SIGHUP)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(0.5)
+    check_whole_file(tmp_path / "a.mcap", ended(process, signal.SIGTERM)[0])

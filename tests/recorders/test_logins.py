@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from base64 import b64encode
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from tests.recorders.mjpeg_camera import playing
 from tests.recorders.programs import gst_rtsp_server, motion_server, nginx_server
 from tests.recorders.servers import (
     PICTURES,
-    HttpCamera,
+    HttpServer,
     digest_of,
     fingerprint_of,
     http_camera,
@@ -25,8 +26,6 @@ from tests.recorders.servers import (
 from tunenet_logs.errors import CameraError, UsageError
 from tunenet_logs.passwords import netrc_login, read_password
 from tunenet_logs.reader import read_episode
-from tunenet_logs.recorders.camera import network
-from tunenet_logs.recorders.camera.network import Login
 from tunenet_logs.recorders.camera.sources import open_source
 
 CAMERA = ("--stall", LAST_RESORT_S, "-o", "a.mcap", "--camera")
@@ -44,14 +43,12 @@ def pictures(url: str) -> int:
     return len(list(open_source(url, PATIENT).frames()))
 
 
-def wanting(*challenges: str, kind: str = "md5") -> HttpCamera:
-    """A camera that wants a digest, of a known user and password."""
-
+def digest_camera(*challenges: str, kind: str = "md5") -> AbstractContextManager[HttpServer]:
     def proves(given: str) -> bool:
         found = re.search(r'response="([0-9a-f]+)"', given)
         return bool(found) and found[1] == digest_of(given, kind, "me", PASSWORD)
 
-    return HttpCamera(challenges, proves)
+    return http_camera(*challenges, proves=proves)
 
 
 @live
@@ -70,7 +67,7 @@ def wanting(*challenges: str, kind: str = "md5") -> HttpCamera:
 )
 def test_a_digest_in_each_form(algorithm: str, kind: str, quality: str):
     challenge = f'Digest realm="a, b", nonce="n0", opaque="o"{algorithm}{quality}'
-    with http_camera(wanting(challenge, kind=kind)) as camera:
+    with digest_camera(challenge, kind=kind) as camera:
         assert pictures(URL + camera.address) == PICTURES
         assert camera.seen[0] == ""
         assert 'opaque="o"' in camera.seen[1]
@@ -87,7 +84,7 @@ def test_a_digest_in_each_form(algorithm: str, kind: str, quality: str):
     ],
 )  # fmt: skip
 def test_of_several_ways_the_strongest_is_taken(challenges: tuple[str, ...]):
-    with http_camera(wanting(*challenges, kind="sha256")) as camera:
+    with digest_camera(*challenges, kind="sha256") as camera:
         assert pictures(URL + camera.address) == PICTURES
 
 
@@ -107,70 +104,26 @@ def test_of_several_ways_the_strongest_is_taken(challenges: tuple[str, ...]):
     ],
 )
 def test_wrong_missing_and_unknown_are_told_apart(challenge: str, login: str, says: str):
-    never = HttpCamera((challenge,), lambda _given: False)
-    with http_camera(never) as camera, pytest.raises(CameraError, match=re.escape(says)):
-        open_source(f"http://{login}{camera.address}", PATIENT)
-    assert len(never.seen) < (20 if "stale" in challenge else 3)
+    with http_camera(challenge, proves=lambda _given: False) as camera:
+        with pytest.raises(CameraError, match=re.escape(says)):
+            open_source(f"http://{login}{camera.address}", PATIENT)
+        assert len(camera.seen) < (20 if "stale" in challenge else 3)
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "response"),
+    ("kind", "response"),
     [
-        ("MD5", "8ca523f5e9506fed4657c9700eebdbec"),
-        ("SHA-256", "753927fa0e85d155564e2e272a28d1802ca10daf4496794697cf8db5856cb6c1"),
+        ("md5", "8ca523f5e9506fed4657c9700eebdbec"),
+        ("sha256", "753927fa0e85d155564e2e272a28d1802ca10daf4496794697cf8db5856cb6c1"),
     ],
 )
-def test_the_examples_of_rfc_7616(monkeypatch: pytest.MonkeyPatch, algorithm: str, response: str):
-    own_nonce = "f2/wE4q74E6zIJEtWaHKaf5wv/H5QzzpXusqGemxURZJ"
-    monkeypatch.setattr(network.secrets, "token_hex", lambda _size: own_nonce)
-    login = Login("Mufasa", "Circle of Life")
-    login.take(
-        [
-            f'Digest realm="http-auth@example.org", qop="auth, auth-int", algorithm={algorithm}, '
-            'nonce="7ypf/xlj9XXwfDPEoM4URrv/xwf94BcCAzFZH4GiTo0v", '
-            'opaque="FQhe/qaU925kfnzjCev0ciny7QMkPqMAFRtzCUYo5tdS"'
-        ]
+def test_what_proves_it_here_proves_it_in_the_example_of_rfc_7616(kind: str, response: str):
+    given = (
+        'realm="http-auth@example.org", nonce="7ypf/xlj9XXwfDPEoM4URrv/xwf94BcCAzFZH4GiTo0v", '
+        'uri="/dir/index.html", nc=00000001, qop=auth, '
+        'cnonce="f2/wE4q74E6zIJEtWaHKaf5wv/H5QzzpXusqGemxURZJ"'
     )
-    assert f'response="{response}"' in (login.header("GET", "/dir/index.html") or "")
-
-
-def test_a_login_is_given_anew_where_a_nonce_has_served():
-    login = Login("me", "secret")
-    assert login.header("GET", "/") is None
-    login.take(['Digest realm="x", nonce="a"'])
-    login.header("GET", "/1")
-    login.header("GET", "/2")
-    login.take(['Digest realm="x", nonce="b"'])
-    assert 'nonce="b"' in (login.header("GET", "/2") or "")
-    with pytest.raises(CameraError, match="refuses"):
-        login.take(['Digest realm="x", nonce="c"'])
-
-
-# ---- A password in the address: sent, and never shown
-
-
-@live
-def test_user_and_password_are_sent_and_never_shown(
-    record: Record, refuses: Refuses, tmp_path: Path
-):
-    with playing(frames=20, rate_hz=500.0, user="me:se cret") as address:
-        url = f"http://me:se%20cret@{address}?pwd=hidden"
-        shown = refuses(1, *CAMERA, url.replace("me:", "you:"), says="401")
-        shown += refuses(1, *CAMERA, f"http://{address}", says="401")
-        good = record(*CAMERA, url)
-    assert good.returncode == 0, good.stderr
-    info = read_episode(tmp_path / "a.mcap").info
-    shown += good.stdout + good.stderr + str(info.to_strings())
-    assert "cret" not in shown
-    assert "hidden" not in shown
-    assert f"camera http://{address}" == info.source
-    assert b"cret" not in (tmp_path / "a.mcap").read_bytes()
-
-
-def test_a_password_of_an_address_that_is_none_is_not_shown():
-    with pytest.raises((UsageError, CameraError)) as caught:
-        open_source("tcp://user:secret@127.0.0.1:5000")
-    assert "secret" not in str(caught.value)
+    assert digest_of(given, kind, "Mufasa", "Circle of Life") == response
 
 
 # ---- A password in no argument: from a file, the environment, or `~/.netrc`
@@ -181,7 +134,6 @@ PROOF = "Basic " + b64encode(f"me:{ODD}".encode()).decode()
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A user without a `.netrc`."""
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.delenv("NETRC", raising=False)
     monkeypatch.delenv("TUNENET_CAMERA_PASSWORD", raising=False)
@@ -189,8 +141,8 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def camera() -> Iterator[HttpCamera]:
-    with http_camera(HttpCamera(('Basic realm="x"',), lambda given: given == PROOF)) as served:
+def camera() -> Iterator[HttpServer]:
+    with http_camera('Basic realm="x"', proves=PROOF.__eq__) as served:
         yield served
 
 
@@ -203,7 +155,7 @@ def written(path: Path, text: str, mode: int = 0o600) -> Path:
 @live
 @pytest.mark.parametrize("way", ["file", "variable", "netrc", "netrc without the user"])
 def test_a_password_needs_no_argument(
-    camera: HttpCamera, home: Path, record: Record, monkeypatch: pytest.MonkeyPatch, way: str
+    camera: HttpServer, home: Path, record: Record, monkeypatch: pytest.MonkeyPatch, way: str
 ):
     user = "" if way == "netrc without the user" else "me@"
     words: list[object] = [*CAMERA, f"http://{user}{camera.address}/"]
@@ -215,7 +167,6 @@ def test_a_password_needs_no_argument(
         quoted = ODD.replace('"', '\\"')
         written(home / ".netrc", f'machine 127.0.0.1 login me password "{quoted}"\n')
     done = record(*words)
-    assert done.returncode == 0, done.stderr
     assert "processes" not in done.stderr
     assert camera.seen[-1] == PROOF
     assert ODD.encode() not in (home / "a.mcap").read_bytes()
@@ -227,14 +178,11 @@ def test_of_a_password_that_others_can_see_one_line_is_said(camera, home, record
     done = record(*CAMERA, f"http://me@{camera.address}/", "--password-file", file)
     assert f"{file}: others can read this password; chmod 600 {file}" in done.stderr
     done = record(*CAMERA, f"http://me:ge%20he%22im%23%C3%BC@{camera.address}/", "--overwrite")
-    assert done.returncode == 0
     assert done.stderr.count("shows in the list of processes (ps)") == 1
 
 
 @live
-def test_a_password_of_another_host_or_user_goes_nowhere(
-    camera: HttpCamera, home: Path, record: Record, refuses: Refuses
-):
+def test_a_password_of_another_host_or_user_goes_nowhere(camera, home, command, refuses: Refuses):
     for text, says in (
         ("machine 127.0.0.2 login me password x\ndefault login a password b", "wants a"),
         ("machine 127.0.0.1 login you password x", "no password of this user"),
@@ -245,7 +193,7 @@ def test_a_password_of_another_host_or_user_goes_nowhere(
         refuses(1, *CAMERA, f"http://{user}{camera.address}/", says=("(401", says))
         assert not any("eDo" in seen for seen in camera.seen)
     written(home / ".netrc", "machine 127.0.0.1 login me password x", 0o644)
-    done = record(*CAMERA, f"http://{camera.address}/")
+    done = command("tunenet-record", *CAMERA, f"http://{camera.address}/", cwd=home)
     assert f"chmod 600 {home / '.netrc'}" in done.stderr
     assert set(camera.seen) <= {"", f"Basic {b64encode(b'me:').decode()}"}
 
@@ -298,12 +246,10 @@ def test_netrc_files_as_others_write_them(home: Path, text: str):
 
 
 @live
-def test_an_unknown_certificate_is_refused_with_what_would_let_it_in(
-    record: Record, refuses: Refuses, tmp_path: Path
-):
+def test_an_unknown_certificate_is_refused(record: Record, refuses: Refuses, tmp_path: Path):
     known = fingerprint_of(self_signed())
     plain = known.replace(":", "")
-    with http_camera(HttpCamera(), self_signed()) as camera:
+    with http_camera(certificate=self_signed()) as camera:
         url = f"https://{camera.address}/video"
         said = refuses(1, *CAMERA, url, says="--insecure")
         assert not camera.seen
@@ -311,20 +257,18 @@ def test_an_unknown_certificate_is_refused_with_what_would_let_it_in(
         assert options == ["--fingerprint", plain]
         refuses(1, *CAMERA, url, "--fingerprint", OTHER, says=(OTHER, plain))
         for allowed in (options, ["--fingerprint", known], [options[0], known.lower()]):
-            done = record(*CAMERA, url, *allowed, "--overwrite")
-            assert done.returncode == 0, done.stderr
+            record(*CAMERA, url, *allowed, "--overwrite")
             assert len(list(read_episode(tmp_path / "a.mcap").frames())) == PICTURES
-        done = record(*CAMERA, url, "--insecure", "--overwrite")  # believes any
-        assert done.returncode == 0, done.stderr
+        record(*CAMERA, url, "--insecure", "--overwrite")  # believes any
 
 
 @live
 def test_a_password_never_leaves_its_encryption(refuses: Refuses):
-    with http_camera(HttpCamera(('Basic realm="x"',))) as plain:
+    with http_camera('Basic realm="x"') as plain:
         refuses(1, *CAMERA, f"https://{plain.address}/", "--insecure", says="encryption")
         del plain.seen[:]
         target = f"http://{plain.address}/video"
-        with http_camera(HttpCamera(moved=target), self_signed()) as camera:
+        with http_camera(moved=target, certificate=self_signed()) as camera:
             url = f"https://me:secret@{camera.address}/moved"
             refuses(1, *CAMERA, url, "--insecure", says=f"sends on to {target}")
     assert not plain.seen
@@ -332,10 +276,10 @@ def test_a_password_never_leaves_its_encryption(refuses: Refuses):
 
 @live
 def test_a_camera_may_send_on_to_its_own_encryption(refuses: Refuses):
-    plain = HttpCamera()
-    with http_camera(HttpCamera(), self_signed()) as safe, http_camera(plain) as camera:
-        plain.moved = f"https://{safe.address}/video"
-        # the address is http: it has to be given as https
+    with (
+        http_camera(certificate=self_signed()) as safe,
+        http_camera(moved=f"https://{safe.address}/video") as camera,
+    ):  # the address is http: it has to be given as https
         refuses(1, *CAMERA, f"http://{camera.address}/moved", says="--fingerprint")
 
 
@@ -348,8 +292,7 @@ def check_login(record: Record, refuses: Refuses, url: str, *options: object) ->
     said = refuses(1, *CAMERA, f"{scheme}://me:guess@{place}", *options, says=WRONG)
     assert "guess" not in said
     refuses(1, *CAMERA, url, *options, says=MISSING)
-    good = record(*CAMERA, f"{scheme}://me:secret@{place}", *options)
-    assert good.returncode == 0, good.stderr
+    record(*CAMERA, f"{scheme}://me:secret@{place}", *options)
 
 
 @live
@@ -363,9 +306,7 @@ def test_motion_with_its_digest(record: Record, refuses: Refuses, tmp_path: Path
 
 
 @live
-def test_nginx_with_a_password_and_its_own_certificate(
-    record: Record, refuses: Refuses, tmp_path: Path
-):
+def test_nginx_with_its_own_certificate(record: Record, refuses: Refuses, tmp_path: Path):
     with playing(frames=20, rate_hz=200.0) as camera:
         place, _, path = camera.partition("/")
         rules = f"""location / {{ auth_basic "camera"; auth_basic_user_file {tmp_path}/nginx/users;
@@ -379,21 +320,6 @@ def test_nginx_with_a_password_and_its_own_certificate(
 
 
 @live
-@pytest.mark.parametrize(
-    ("place", "says"),
-    [
-        ("http://10.0.0.9/video", "sends on to http://10.0.0.9/video; if that is right"),
-        ("file:///etc/hosts", "sends on to file:///etc/hosts, which is no camera's address"),
-        ("http://me:pw@localhost/x?pwd=hidden", "sends on to http://localhost/x; if that"),
-    ],
-)
-def test_nginx_sends_elsewhere(refuses: Refuses, tmp_path: Path, place: str, says: str):
-    with nginx_server(tmp_path / "nginx", f"return 301 {place};") as address:
-        said = refuses(1, *CAMERA, f"http://{address}/video", says=says)
-    assert "hidden" not in said
-
-
-@live
 @pytest.mark.parametrize("auth", ["basic", "digest"])
 def test_gstreamer_over_rtsp(record: Record, refuses: Refuses, tmp_path: Path, auth: str):
     with gst_rtsp_server(auth=auth) as address:
@@ -402,12 +328,10 @@ def test_gstreamer_over_rtsp(record: Record, refuses: Refuses, tmp_path: Path, a
 
 
 @live
-def test_gstreamer_over_encrypted_rtsp(record: Record, refuses: Refuses, tmp_path: Path):
+def test_gstreamer_over_encrypted_rtsp(record: Record, refuses: Refuses):
     pinned = fingerprint_of(self_signed())
     with gst_rtsp_server(tls=self_signed(), auth="digest") as address:
-        url = f"rtsps://me:secret@{address}"
-        refuses(1, *CAMERA, url, says=pinned.replace(":", ""))
-        refuses(1, *CAMERA, url.replace("rtsps", "rtsp"))
-        done = record(*CAMERA, url, "--fingerprint", pinned, "--seconds", 0.29)
-    assert done.returncode == 0, done.stderr
-    assert len(list(read_episode(tmp_path / "a.mcap").frames())) == 9
+        refuses(1, *CAMERA, f"rtsps://me:secret@{address}", says=pinned.replace(":", ""))
+        refuses(1, *CAMERA, f"rtsp://me:secret@{address}")
+        options = ("--fingerprint", pinned, "--seconds", 0.29)
+        check_login(record, refuses, f"rtsps://{address}", *options)

@@ -1,10 +1,13 @@
-"""A user's MuJoCo model or URDF: read wherever its files lie, shown, and moved."""
+"""A user's MuJoCo model or URDF: read wherever its files lie, shown; and refused if it hurts."""
 
 from __future__ import annotations
 
+import json
 import os
+import struct
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -13,15 +16,10 @@ import numpy as np
 import pytest
 
 from tests.conftest import ROOT
-from tunenet_logs.episode import Signal
 from tunenet_logs.errors import UsageError
-from tunenet_logs.recorders.simulators.model.reading import ModelProcess, read_model
+from tunenet_logs.recorders.simulators.model.reading import read_model
 from tunenet_logs.recorders.simulators.model.rollout import (
-    InitialState,
     ModelScene,
-    ModelSimulator,
-    SensedSignal,
-    Sensor,
 )
 from tunenet_logs.recorders.simulators.mujoco import mujoco
 
@@ -80,9 +78,7 @@ def urdf(mesh: str, more: str = "") -> str:
     )
 
 
-def test_includes_meshes_and_height_fields_are_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_all_files_of_a_model_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """MuJoCo opens none of them: they are gone when it compiles."""
     path = arm_in(tmp_path / "model")
     spec = read_model(path)
@@ -192,7 +188,7 @@ def test_other_folders_by_name_links_inside_and_where_a_urdf_says(tmp_path: Path
     assert read_model(path).compile().nmesh == 1
 
 
-# ---- What a model looks like, and how it moves
+# ---- What a model looks like
 
 SHAPES = """
 <mujoco>
@@ -252,35 +248,248 @@ def test_groups_that_a_viewer_hides_are_hidden_where_there_is_anything_else():
     assert kinds(scene(text)) == ["ellipsoid"]
 
 
-def test_bodies_without_shapes_are_shown_by_their_masses():
-    text = """<mujoco><worldbody><body><joint/><inertial pos="0 .3 -.4" mass="1"
-    diaginertia=".1 .1 .1"/></body></worldbody></mujoco>"""
-    ball, rod = sorted(scene(text).shapes, key=lambda one: -one.size_m[0])
-    assert ball.position_m.tolist() == [0, 0.3, -0.4]
-    assert (rod.position_m + rod.rotation[:, 2] * rod.size_m[2]).tolist() == pytest.approx(
-        [0, 0.3, -0.4]
+# ---- Models that strangers made to hurt: refused in one line, in bounded time and memory
+
+
+def world(body: str) -> str:
+    return f"<mujoco><worldbody>{body}</worldbody></mujoco>"
+
+
+def asset(element: str) -> str:
+    return f"<mujoco><asset>{element}</asset></mujoco>"
+
+
+def mesh(name: str) -> str:
+    return (
+        f'<mujoco><asset><mesh name="a" file="{name}"/></asset>'
+        '<worldbody><geom type="mesh" mesh="a"/></worldbody></mujoco>'
     )
 
 
-def test_poses_are_those_of_the_coordinates():
-    positions, rotations = scene(SHAPES.format(group="")).poses(np.array([[0.0], [np.pi / 2]]))
-    assert positions[:, 2] == pytest.approx(np.array([[0, 0, 0.6], [0.4, 0, 1.0]]))
-    assert rotations[1, 1] @ [0, 0, -1] == pytest.approx([1, 0, 0], abs=1e-12)
+def included(name: str) -> str:
+    return f'<mujoco><include file="{name}"/></mujoco>'
 
 
-def test_coordinates_are_what_a_rollout_shows():
-    stamps = (np.arange(0.0, 1.0, 0.01) * 1e9).astype(np.int64)
-    signal = Signal("/joint_states.position", stamps, np.zeros((100, 1)), ("hinge",), "rad")
-    simulator = ModelSimulator(
-        mujoco().MjSpec.from_string(SHAPES.format(group="")),
-        (),
-        (SensedSignal(signal, ("hinge",), (Sensor("jointpos", "hinge"),)),),
-        (),
-        InitialState(0, np.array([1.0]), np.zeros(1)),
-        int(stamps[-1]),
-        process=ModelProcess(Path("pendulum.xml")),
+BALL = '<geom size="0.1"/>'
+COPIED = '<replicate count="1000" offset="1 0 0">'
+HINGES = "".join(f'<body><joint axis="{a}"/>{BALL}</body>' for a in ["1 0 0", "0 1 0"] * 101)
+MOTOR = '<motor joint="j"/>'
+HELD = f'<body><joint name="j"/>{BALL}</body>'
+
+PLUGIN = '<mujoco><extension><plugin plugin="mujoco.pid"/></extension></mujoco>'
+
+# A model's text, and the words of the refusal.
+TEXTS = [
+    ("hello", "is not XML"),
+    ("", "is not XML"),
+    ("<sdf/>", "begins with <sdf>; --model takes"),
+    ('<!DOCTYPE m [<!ENTITY a "b"><!ENTITY c "&a;&a;">]><mujoco model="&c;"/>', "document type"),
+    ('<robot name="${n}"/>', "expand it first"),
+    (world("<body>" * 300 + "</body>" * 300), "over 200 deep"),
+    (world(BALL * 100_001), "over 100000 tags"),
+    (world("x" * 4_000_001), "is larger than 4 MB"),
+    (
+        world(f'<replicate count="1000000000" offset="1 0 0">{BALL}</replicate>'),
+        "over 100000 elements, copies of <replicate>",
+    ),
+    (world(COPIED * 4 + BALL + "</replicate>" * 4), "over 100000 elements"),
+    (
+        world('<flexcomp name="a" type="grid" count="1000 1000 1000" dim="3"/>'),
+        "copies of <flexcomp>",
+    ),
+    (PLUGIN, "plugins run code of others"),
+    (world('<body><plugin instance="a"/></body>'), "plugins run code"),
+    (world('<geom size="nan"/>'), '<geom size="nan"> is not finite'),
+    (world('<body><geom size="1e200" mass="1e300"/></body>'), "not finite"),
+    ('<mujoco><size memory="1T"/></mujoco>', "over 400 MB"),
+    ('<mujoco><size memory="350M"/></mujoco>', "367 MB of working"),
+    ('<mujoco><size nkey="2000000000"/></mujoco>', "over the limit of 100000"),
+    ('<mujoco><size nuser_body="2000000000"/></mujoco>', "over the limit"),
+    (asset('<hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/>'), "over 400 MB"),
+    (asset('<texture name="t" builtin="flat" width="1000000" height="1000000"/>'), "over 400 MB"),
+    ('<mujoco><sensor><user dim="2000000000"/></sensor></mujoco>', "over 400 MB"),
+    (
+        f"<mujoco><worldbody>{HELD}</worldbody><actuator>"
+        '<general joint="j" dyntype="user" actdim="2000000000"/></actuator></mujoco>',
+        "over 400 MB",
+    ),
+    (world(HINGES), "202 degrees of freedom, over the limit of 200"),
+    (world(f"<body>{BALL}</body>" * 2001), "2002 bodies, over the limit of 2000"),
+    (world(BALL * 10_001), "10001 geoms, over the limit of 10000"),
+    (
+        f"<mujoco><worldbody>{HELD}</worldbody><actuator>{MOTOR * 2001}</actuator></mujoco>",
+        "2001 actuators, over the limit of 2000",
+    ),
+    (
+        asset('<hfield name="h" nrow="4000" ncol="4000" size="1 1 1 1"/>'),
+        "64 MB when compiled, over the limit of 30",
+    ),
+    ('<mujoco><option timestep="0"/></mujoco>', "timestep of 0 s; give one of 1e-05"),
+    ('<mujoco><option timestep="1"/></mujoco>', "timestep of 1 s"),
+    (world("<body><joint/></body>"), "give that body or link a mass"),
+    (world("<goem/>"), "unrecognized element; Element 'goem'; correct"),
+    (world(f'<body name="{"x" * 3000}"><joint/></body>'), "…"),
+    (world('<body name="&#13;&#10;a"><joint/></body>'), "give that body or link"),
+    (mesh("gone.stl"), 'names "gone.stl", which is not there'),
+    (mesh(""), "cannot be a mesh"),
+    (mesh("../secret.stl"), 'names "../secret.stl", which is outside the model'),
+    (included("/etc/passwd"), "which is outside"),
+    ('<mujoco><INCLUDE file="/etc/passwd"/></mujoco>', "which is outside"),
+    (mesh("link.stl"), "which is outside"),
+    (
+        '<mujoco><compiler meshdir="/"/><asset><mesh file="etc/passwd"/></asset></mujoco>',
+        "which is outside",
+    ),
+    (urdf("package://a/../../secret.stl"), "which is outside"),
+    (urdf("file:///etc/passwd"), "which is outside"),
+    (urdf("https://127.0.0.1/a.stl"), "is not there"),
+    (
+        world('<geom size="1" file="/etc/passwd"/>'),
+        "names a file, which MuJoCo reads in no such element",
+    ),
+    (mesh("pipe.stl"), "is no regular file"),
+    (mesh("folder.stl"), "cannot be read"),
+    (mesh("hole.stl"), "is larger than 64 MB"),
+    (asset("".join(f'<mesh name="{n}" file="hole{n}.stl"/>' for n in range(5))), "over 256 MB"),
+    (included("m.xml"), "twice, or in itself"),
+    (included("circle_a.xml"), "twice, or in itself"),
+    (included("row0.xml"), "over 16 deep"),
+    (included("secret.xml"), "begins with <secret>"),
+    (asset('<model file="m.xml"/>'), "attaches itself"),
+    (asset('<model file="plugin.xml"/>'), "plugins run code"),
+    (asset('<model file="reader.xml"/>'), "which is outside"),
+    (urdf("shape.dae"), "cannot be a mesh; MuJoCo reads .stl, .obj, .msh; convert"),
+    (mesh("forged.stl"), "number of faces"),
+    (mesh("short.stl"), "wrong size"),
+    (mesh("empty.stl"), "is empty"),
+    (mesh("forged.msh"), "too large sizes"),
+    (mesh("wild.msh"), "does not exist"),
+    (mesh("wild.obj"), "does not take it"),
+    (mesh("nan.obj"), "not finite"),
+    (asset('<hfield file="h.bin" size="1 1 1 1"/>'), "does not take it"),
+    (asset('<hfield file="h.png" size="1 1 1 1"/>'), "does not take it"),
+    (asset('<skin file="s.skn"/>'), "too large sizes"),
+]
+
+
+def write_strange_files(folder: Path) -> Path:
+    own = folder / "model"
+    (own / "folder.stl").mkdir(parents=True)
+    (folder / "secret.stl").write_bytes(b"secret")
+    (own / "link.stl").symlink_to(folder / "secret.stl")
+    os.mkfifo(own / "pipe.stl")
+    for name, size in [("hole.stl", 64_000_001), *[(f"hole{n}.stl", 60_000_000) for n in range(5)]]:
+        with open(own / name, "wb") as file:
+            file.truncate(size)
+    texts = {f"row{n}.xml": included(f"row{n + 1}.xml") for n in range(20)} | {
+        "circle_a.xml": included("circle_b.xml"),
+        "circle_b.xml": included("circle_a.xml"),
+        "secret.xml": "<secret/>",
+        "plugin.xml": PLUGIN,
+        "reader.xml": mesh("../secret.stl"),
+        "shape.dae": "<COLLADA/>",
+        "wild.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 2000000000\n",
+        "nan.obj": TETRAHEDRON.decode().replace("1", "nan", 1),
+    }
+    for name, text in texts.items():
+        (own / name).write_text(text)
+    counts: dict[str, tuple[int, ...]] = {
+        "forged.msh": (2**30,) * 4,
+        "wild.msh": (4, 0, 0, 2, *range(1, 13), 0, 1, 2**30, -7, 1, 2),
+        "h.bin": (10**9, 10**9),
+        "s.skn": (2**30,) * 4,
+    }
+    for name, numbers in counts.items():
+        (own / name).write_bytes(struct.pack(f"<{len(numbers)}i", *numbers))
+    (own / "empty.stl").touch()
+    (own / "forged.stl").write_bytes(bytes(80) + struct.pack("<I", 2**31) + bytes(50))
+    (own / "short.stl").write_bytes(bytes(80) + struct.pack("<I", 200_000) + bytes(50))
+    (own / "h.png").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + b"\x7f\xff" * 8)
+    return own
+
+
+_READ_ALL = """
+import json, resource, sys
+from pathlib import Path
+from tunenet_logs.recorders.simulators.model.reading import read_model
+from tunenet_logs.errors import UsageError
+
+def cpu_s():
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+said = []
+folder, cases = Path(sys.argv[1]), json.load(sys.stdin)
+for text in cases:
+    path = folder / ("m.urdf" if text.lstrip().startswith(("<robot", "<?xml")) else "m.xml")
+    path.write_text(text)
+    before = cpu_s()
+    try:
+        read_model(path)
+    except UsageError as error:
+        said.append([text, str(error), error.remedy, cpu_s() - before])
+    path.unlink()
+json.dump([said, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss], sys.stdout)
+"""
+
+
+def test_a_hostile_model_is_refused_in_one_line_with_a_bound_of_time_and_memory(tmp_path: Path):
+    """In a fresh process: until it runs, a child counts what its parent has."""
+    folder = write_strange_files(tmp_path)
+    words = [sys.executable, "-c", _READ_ALL, folder]
+    cases = json.dumps([text for text, _ in TEXTS])
+    done = subprocess.run(words, input=cases, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    refused, peak_kib = json.loads(done.stdout)
+    assert [text for text, *_ in refused] == [text for text, _ in TEXTS]
+    for (case, told), (_, said, remedy, cpu_s) in zip(TEXTS, refused, strict=True):
+        assert told in said, case[:200]
+        assert said.startswith(f"{folder}/"), case[:200]
+        assert said.isprintable(), case[:200]
+        assert len(said.replace(str(folder), "")) < 600, case[:200]
+        assert remedy or ";" in said, case[:200]
+        assert cpu_s < 12, case[:200]
+    assert peak_kib < 0.6 * 1024**2
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda path: None, "cannot be read (No such file"),
+        (lambda path: path.mkdir(), "cannot be read (Is a directory"),
+        (os.mkfifo, "is no regular file"),
+        (lambda path: path.symlink_to(path), "cannot be read"),
+        (lambda path: path.symlink_to("/dev/zero"), "is no regular file"),
+        (lambda path: path.write_bytes(b"\xff\xfe<\0"), "no text in UTF-8"),
+    ],
+)
+def test_what_is_no_file_is_no_model(tmp_path: Path, make: Callable[[Path], object], words: str):
+    make(tmp_path / "m.xml")
+    with pytest.raises(UsageError) as caught:
+        read_model(tmp_path / "m.xml")
+    assert words in str(caught.value)
+
+
+def test_a_home_is_no_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A mesh of package://NAME may be in a folder of that name above, but not in all of a home."""
+    (tmp_path / "somebody/models").mkdir(parents=True)
+    (tmp_path / "somebody/key.obj").write_bytes(TETRAHEDRON)
+    path = tmp_path / "somebody/models/m.urdf"
+    path.write_text(urdf("package://somebody/key.obj"))
+    assert read_model(path).compile().nmesh == 1
+    monkeypatch.setenv("HOME", str(tmp_path / "somebody"))
+    with pytest.raises(UsageError, match="is not there"):
+        read_model(path)
+
+
+@pytest.mark.slow
+def test_what_never_ends_is_ended(tmp_path: Path):
+    """Copies of a model that is attached: only its compiling tells how many there are."""
+    (tmp_path / "part.xml").write_text(world(f'<body name="b">{BALL * 300}</body>'))
+    (tmp_path / "m.xml").write_text(
+        '<mujoco><asset><model name="c" file="part.xml"/></asset><worldbody>'
+        '<replicate count="9000" offset="1 0 0"><attach model="c" body="b" prefix="x"/>'
+        "</replicate></worldbody></mujoco>"
     )
-    seconds, qpos = simulator.coordinates(np.zeros(0))
-    seen = simulator.rollout({}).signals[signal.name].values[:, 0]
-    assert np.interp(stamps * 1e-9, seconds, qpos[:, 0]) == pytest.approx(seen, abs=1e-9)
-    assert np.ptp(seen) > 1
+    with pytest.raises(UsageError, match=r"takes MuJoCo over (10 s|400 MB)"):
+        read_model(tmp_path / "m.xml")

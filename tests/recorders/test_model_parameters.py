@@ -90,46 +90,32 @@ def refusal(model: Any, *texts: str) -> str:
         ("joint/hinge.damping[1]=0:1", "damping has 1 number"),
         ("geom/block.friction=0:1", "friction[0] to friction[2]"),
         ("geom/block.friction[3]=0:1", "friction[0] to friction[2]"),
-        ("geom/block.friction[300]=0:1", "friction[0] to friction[2]"),
-        ("option.gravity=0:1", "gravity[0] to gravity[2]"),
         ("geom/block.friction[-1]=0:1", "KIND/NAME.FIELD"),
         ("joint/hinge.dampin=0:1", "damping, frictionloss"),
         ("joint/hing.damping=0:1", "nearest: hinge"),
-        ("joint/Hinge.damping=0:1", "nearest: hinge"),
         ("joint/qqqq.damping=0:1", "nearest: hinge, slide"),
         ("joint.damping=0:1", "hinge"),
-        ("joint/arm.damping=0:1", "hinge"),
         ("joints/hinge.damping=0:1", "KIND/NAME.FIELD"),
         ("option/any.gravity[0]=0:1", "option.gravity[2]"),
-        ("option.timestep=0:1", "gravity, density"),
         ("hinge", "KIND/NAME.FIELD"),
         ("", "KIND/NAME.FIELD"),
-        ("\n", "KIND/NAME.FIELD"),
         ("joint/a\nb.damping=0:1", "no such joint"),
         ("joint/\x1b[31m.damping=0:1", "no such joint"),
         ("joint/" + "x" * 100_000 + ".damping=0:1", "no such joint"),
         ("x" * 100_000, "KIND/NAME.FIELD"),
-        ("=" * 10_000, "KIND/NAME.FIELD"),
         ("joint/ball.springref=0:1", "no single position"),
-        ("joint/block.springref=0:1", "no single position"),
         ("body/world.mass=1:2", "cannot move"),
         ("body/bolted.mass=1:2", "cannot move"),
         ("geom/bolted.friction[0]=0:1", "touches nothing"),
         ("actuator/speed.kp=0:1", "write kv"),
         ("actuator/motor.kv=0:1", "no kv"),
         ("actuator/muscle.kp=0:1", "no kp"),
-        ("actuator/muscle.kv=0:1", "no kv"),
-        ("actuator/damper.kp=0:1", "no kp"),
         # ranges
         ("joint/hinge.damping=0:-1", "no LOW:HIGH"),
         ("joint/hinge.damping=1:1", "no LOW:HIGH"),
         ("joint/hinge.damping=nan:1", "no LOW:HIGH"),
         ("joint/hinge.damping=0:inf", "no LOW:HIGH"),
-        ("joint/hinge.damping=0:1e999", "no LOW:HIGH"),
-        ("joint/hinge.damping=a:b", "no LOW:HIGH"),
         ("joint/hinge.damping=5", "no LOW:HIGH"),
-        ("joint/hinge.damping=", "no LOW:HIGH"),
-        ("joint/hinge.damping=:", "no LOW:HIGH"),
         ("joint/hinge.damping=1:2:3", "no LOW:HIGH"),
         ("joint/hinge.damping=0:1e12", "over 1e+09"),
         ("joint/hinge.damping=-1:1", "below 0"),
@@ -143,8 +129,6 @@ def refusal(model: Any, *texts: str) -> str:
         ("joint/hinge.frictionloss=-1:1", "below 0"),
         ("joint/hinge.armature=-1:1", "below 0"),
         ("joint/hinge.stiffness=-2:-1", "below 0"),
-        ("joint/hinge.damping=-2:-1", "below 0"),
-        ("body/arm.mass=-2:-1", "below 1e-06"),
         ("geom/block.friction[0]=-1:1", "below 0"),
         ("actuator/servo.kp=-1:1", "below 0"),
         ("actuator/servo.kv=-2:-1", "below 0"),
@@ -164,7 +148,6 @@ def test_what_is_no_parameter_or_range_is_refused_in_one_line(model: Any, text: 
 @pytest.mark.parametrize(
     "texts",
     [
-        ("joint/hinge.damping=0:1", "joint/hinge.damping=0:2"),
         ("joint/hinge.damping=0:1", "joint/hinge.damping[0]=0:2"),
         ("geom/block.friction[0]", "geom/block.friction[00]"),
         ("delay/commands", " delay/commands=0:0.1"),
@@ -179,13 +162,10 @@ NAMES = [
     "robot/arm/elbow",
     "left elbow",
     "j[0]",
-    "gelenk_ü",
     "关节",
-    "a=b",
     "a:b=c",
     "-",
     "delay/commands",
-    "x" * 200,
 ]
 
 
@@ -304,8 +284,12 @@ def moved(model: Any, tuned: ModelParameter, value: float) -> Any:
 
 @pytest.mark.parametrize("address", every_address())
 def test_a_value_reaches_the_model_and_moves_it(model: Any, address: str):
-    has_usual = one_or_none(model, address)
-    tuned = has_usual or one(model, f"{address}=0.1:0.9")
+    try:
+        tuned = one(model, address)
+    except UsageError as error:
+        if "tells no range" not in str(error):
+            raise
+        tuned = one(model, f"{address}=0.1:0.9")
     parameter = tuned.parameter
     assert parameter.name == address
     (low, high), (least, most) = parameter.training_range, parameter.bounds
@@ -329,31 +313,11 @@ def test_a_value_reaches_the_model_and_moves_it(model: Any, address: str):
     first, last = moved(model, tuned, low), moved(model, tuned, high)
     if IDLE.search(address) is None:
         assert not np.array_equal(first, last)
-
-
-def one_or_none(model: Any, address: str) -> ModelParameter | None:
-    """With the model's own range, where it tells one."""
-    try:
-        return one(model, address)
-    except UsageError as error:
-        if "tells no range" not in str(error):
-            raise
-        return None
-
-
-def test_the_models_value_changes_nothing(model: Any):
-    before = arrays(model)
-    for address in every_address():
-        tuned = one_or_none(model, address)
-        if tuned is None:
-            continue
-        copy = model.__copy__()
-        tuned.put(copy, tuned.parameter.initial)
-        after = arrays(copy)
-        for name in before:
-            if after[name] != before[name]:
-                found = np.frombuffer(after[name])
-                np.testing.assert_allclose(found, np.frombuffer(before[name]), rtol=1e-12)
+    if parameter.initial != low:  # the model's own value changes nothing
+        tuned.put(fresh, parameter.initial)
+        for name in changed:
+            found, wanted = (np.frombuffer(one[name]) for one in (arrays(fresh), before))
+            np.testing.assert_allclose(found, wanted, rtol=1e-12)
 
 
 def test_a_mass_scales_its_moments_of_inertia_whatever_is_named_first(model: Any):
@@ -398,17 +362,6 @@ def test_all_degrees_of_freedom_of_a_joint_have_one_damping(model: Any, joint: s
     one(model, f"joint/{joint}.damping=0:9").put(copy, 5.5)
     assert int(np.sum(copy.dof_damping == 5.5)) == count
     assert (copy.joint(joint).damping == 5.5).all()
-
-
-def test_a_centre_of_mass_moves_without_the_shapes(model: Any):
-    copy = model.__copy__()
-    one(model, "body/arm.ipos[0]=0:1").put(copy, 0.05)
-    mujoco.mj_setConst(copy, mujoco.MjData(copy))
-    data, before = mujoco.MjData(copy), mujoco.MjData(model)
-    mujoco.mj_forward(copy, data)
-    mujoco.mj_forward(model, before)
-    np.testing.assert_allclose(data.geom_xpos, before.geom_xpos, atol=1e-12)
-    assert data.body("arm").xipos[0] == pytest.approx(0.05)
 
 
 # ---- A tuned centre of mass or moment of inertia moves a model as one that is compiled with it
@@ -474,45 +427,27 @@ def with_values(spec: Any, values: dict[str, float]) -> Any:
 )
 def test_it_moves_as_a_model_that_is_compiled_with_it(integrator: str, values, said):
     spec = spec_of(integrator=integrator)
+    text = spec.to_xml()
     expected = path_of(spec_of(integrator=integrator, **said).compile())
     found = path_of(with_values(spec, values))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
     given = spec.compile()
+    assert spec.to_xml() == text
     assert given.body("free").simple == 1
     assert np.abs(path_of(given) - expected).max() > 1e-4
 
 
-def test_a_body_that_only_slides_takes_it_too():
-    found = with_values(spec_of(integrator="Euler"), {"body/cart.ipos[2]": 0.05})
-    expected = spec_of(integrator="Euler", cart="0 0 0.05").compile()
-    np.testing.assert_allclose(path_of(found), path_of(expected), rtol=0, atol=1e-9)
-    data = mujoco.MjData(found)
-    mujoco.mj_forward(found, data)
-    assert data.body("cart").xipos[2] == pytest.approx(1.05)
-
-
-def test_the_model_that_was_given_stays_as_it_is():
-    spec = spec_of(integrator="Euler")
-    before = spec.to_xml()
-    tuned = model_parameters(spec.compile(), ["body/free.ipos[0]=-0.5:0.5"])
-    assert not movable(spec, tuned).compile().body("free").simple
-    assert spec.to_xml() == before
-
-
 def test_a_log_is_simulated_as_by_a_model_that_has_it(tmp_path: Path):
-    given, moved = tmp_path / "given.xml", tmp_path / "moved.xml"
-    given.write_text(MASSES.format(**GIVEN, integrator="implicitfast"))
-    moved.write_text(MASSES.format(**{**GIVEN, "free": "0.03 0 0"}, integrator="implicitfast"))
     stamps = np.arange(0, 10**9, 10**7)
     values = np.stack([np.linspace(0, 0.5, 100), np.zeros(100), np.full(100, 0.4)], axis=1)
     pose = Signal("/free/pose", stamps, values, ("x", "y", "z"), "m")
-    log = Episode(EpisodeInfo(), {pose.name: pose})
-    wanted = "body/free.ipos[0]=-0.05:0.05"
-    tuned = ModelSource(given, (wanted,)).connect(log).simulator
-    expected = ModelSource(moved, (wanted,)).connect(log).simulator
-    found, right, other = (
-        simulator.rollout({"body/free.ipos[0]": value}).signals[pose.name].values
-        for simulator, value in ((tuned, 0.03), (expected, 0.03), (tuned, 0.0))
-    )
-    np.testing.assert_allclose(found, right, rtol=0, atol=1e-9)
-    assert np.abs(found - other).max() > 1e-5
+    log, found = Episode(EpisodeInfo(), {pose.name: pose}), []
+    for at, value in (("0 0 0", 0.03), ("0.03 0 0", 0.03), ("0 0 0", 0.0)):
+        text = MASSES.format(**{**GIVEN, "free": at}, integrator="implicitfast")
+        (tmp_path / "m.xml").write_text(text)
+        source = ModelSource(tmp_path / "m.xml", ("body/free.ipos[0]=-0.05:0.05",))
+        shown = source.connect(log).simulator.rollout({"body/free.ipos[0]": value})
+        found.append(shown.signals[pose.name].values)
+    tuned, right, other = found
+    np.testing.assert_allclose(tuned, right, rtol=0, atol=1e-9)
+    assert np.abs(tuned - other).max() > 1e-5

@@ -19,12 +19,10 @@ SUCCESS = ("--outcome", "success", "--ball", "gel")
 def test_each_outcome_is_the_next_of_its_ball(record: Record, tmp_path: Path):
     said = ""
     for ball, word in (("red gel", "success"), ("racquetball", "failure"), ("red gel", "failure")):
-        result = record(
+        said = record(
             "--outcome", word, "--ball", ball, "--shot-height", 0.62, "--miss=-0.03",
             "--reason", "rim", "--note", "left side", "-o", "campaign",
-        )  # fmt: skip
-        assert result.returncode == 0, result.stderr
-        said = result.stdout
+        ).stdout  # fmt: skip
     assert "failure of red gel, attempt 2" in said
     first, second, third = read_outcomes(tmp_path / "campaign")
     assert [one.attempt for one in (first, second, third)] == [1, 1, 2]
@@ -40,8 +38,7 @@ def test_a_tuning_says_restitution_and_log(record: Record, command: Command, tmp
     tuned = command("tunenet-tune", "campaign/drop_1.mcap", cwd=tmp_path)
     assert tuned.returncode == 0, tuned.stderr
     words = ("--tuning", "campaign/drop_1.json", "--at", "2026-11-22T14:30Z", "-o", "campaign")
-    result = record(*SUCCESS, *words)
-    assert result.returncode == 0, result.stderr
+    record(*SUCCESS, *words)
     (outcome,) = read_outcomes(tmp_path / "campaign")
     assert (outcome.drop_log, outcome.tuning) == ("drop_1.mcap", "drop_1.json")
     assert outcome.tuned_parameter == pytest.approx(0.7, abs=0.002)
@@ -78,9 +75,7 @@ def test_several_at_once_all_stay_and_none_has_anothers_number(tmp_path: Path):
 
 def test_a_correction_says_which_counts(record: Record, refuses: Refuses, tmp_path: Path):
     def recorded(*words: object) -> str:
-        result = record("--outcome", "failure", "--ball", "gel", *words)
-        assert result.returncode == 0, result.stderr
-        return result.stdout
+        return record("--outcome", "failure", "--ball", "gel", *words).stdout
 
     assert ";" not in recorded("--at", "2026-11-02T10:00Z")
     later = recorded("--attempt", 1, "--at", "2026-11-02T11:00Z")
@@ -95,17 +90,9 @@ def test_a_correction_says_which_counts(record: Record, refuses: Refuses, tmp_pa
     refuses(2, *SUCCESS, "-o", "last", says="has an attempt 1000000")
 
 
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        *(f'{{"restitution": {{"value": {value}}}}}' for value in ("NaN", "7", '"0.7"', "true")),
-        f'{{"restitution": {{"value": 1{"0" * 400}}}}}',
-        '{"restitution": [1]}',
-        "[1]",
-        '""',
-    ],
-)
-def test_what_is_no_tuning_tells_nothing(refuses: Refuses, tmp_path: Path, parameters: str):
+@pytest.mark.parametrize("value", ["NaN", "7", '"0.7"', "true", f"1{'0' * 400}"])
+def test_what_is_no_tuning_tells_nothing(refuses: Refuses, tmp_path: Path, value: str):
+    parameters = f'{{"restitution": {{"value": {value}}}}}'
     (tmp_path / "a.json").write_text(f'{{"log": "a.mcap", "parameters": {parameters}}}')
     refuses(2, *SUCCESS, "--tuning", "a.json", "-o", "campaign", says="a.json: is no tuning")
 
@@ -113,6 +100,6 @@ def test_what_is_no_tuning_tells_nothing(refuses: Refuses, tmp_path: Path, param
 def test_a_path_that_no_outcome_holds_is_refused(refuses: Refuses, tmp_path: Path):
     deep = tmp_path.joinpath(*["d" * 200] * 6)
     deep.mkdir(parents=True)
-    (deep / "a.mcap").write_text("")
+    (deep / "a.mcap").touch()
     words = ("--drop-log", deep / "a.mcap", "-o", "campaign")
     refuses(2, *SUCCESS, *words, says="over 1000 letters")

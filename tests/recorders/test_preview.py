@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.conftest import BIN
 from tests.pages import Page, assert_for_this_machine_alone
 from tests.recorders.films import PATIENT, numbers
-from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
+from tests.recorders.live_wait import LAST_RESORT_S, ended, recorder, wait_until
 from tests.recorders.mjpeg_camera import picture, playing
 from tunenet_logs.episode import Frame
 from tunenet_logs.reader import read_episode
@@ -32,8 +31,6 @@ DISTINCT = 60
 
 
 class PreviewPage(Page):
-    """The page of a recorder that runs in a process of its own."""
-
     def __init__(self, process: subprocess.Popen[str]) -> None:
         assert process.stderr is not None
         line = process.stderr.readline()
@@ -50,19 +47,12 @@ class PreviewPage(Page):
         wait_until(lambda: self.state()["frames"] >= frames, f"{frames} frames on the page")
         return self.state()
 
-    def end(self) -> tuple[str, str]:
-        """What the recorder said, at its end."""
-        return self.process.communicate(timeout=LAST_RESORT_S)
-
 
 @contextmanager
 def previewing(folder: Path) -> Iterator[PreviewPage]:
     with playing(frames=100_000, rate_hz=100.0, distinct=DISTINCT) as address:
-        words = [BIN / "tunenet-record", "--camera", f"http://{address}", "--preview"]
-        words += ["--stall", str(LAST_RESORT_S), "-o", "a.mcap"]
-        pipe = subprocess.PIPE
-        process = subprocess.Popen(words, cwd=folder, stdout=pipe, stderr=pipe, text=True)
-        with ending(process):
+        words = ("--camera", f"http://{address}", "--preview", "--stall", LAST_RESORT_S)
+        with recorder(folder, *words) as process:
             yield PreviewPage(process)
 
 
@@ -92,9 +82,7 @@ def test_from_aiming_to_a_log(tmp_path: Path):
         wait_until(lambda: page.state()["is_recording"], "the page records")
         page.wait(page.state()["frames"] + 30)
         assert page.ask("POST", "/stop")[0] == 204
-        out, err = page.end()
-    assert page.process.returncode == 0, err
-    assert "stopped on the page" in out
+        assert "stopped on the page" in ended(page.process)[0]
     episode = read_episode(tmp_path / "a.mcap")
     seen, info = numbers(episode), episode.info
     assert seen == [(seen[0] + index) % DISTINCT for index in range(len(seen))]
@@ -174,14 +162,12 @@ def test_stopped_before_recording_it_leaves_no_log(tmp_path: Path):
         with socket.create_connection((host, int(port)), LAST_RESORT_S) as viewer:
             viewer.sendall(f"GET {page.secret}/live HTTP/1.0\r\nHost: {page.host}\r\n\r\n".encode())
             page.wait(page.state()["frames"] + 50)
-            page.process.send_signal(signal.SIGINT)
-            page.end()
-    assert page.process.returncode == 1
+            ended(page.process, signal.SIGINT, 1)
     with previewing(tmp_path) as page:
         page.wait(5)
         page.ask("POST", "/stop")
-        _, err = page.end()
-    assert (page.process.returncode, err.count("\n")) == (1, 1)
+        _, err = ended(page.process, code=1)
+    assert err.count("\n") == 1
     assert "before a frame was recorded" in err
     assert not list(tmp_path.iterdir())
 
@@ -198,7 +184,6 @@ def test_a_request_that_drips_and_too_many_of_them_are_ended(monkeypatch: pytest
         ]
 
         def drip() -> None:
-            """Send a header byte by byte to all of them."""
             while not ended.wait(0.05):
                 for caller in dripping:
                     with suppress(OSError):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,13 +28,10 @@ from tunenet_logs.recorders.simulators.arm.path import (
 )
 from tunenet_logs.recorders.simulators.arm.payload import (
     CALIBRATED,
-    PAYLOAD_MASS,
     REAL_ARM,
     TOPIC,
     Disturbances,
-    FieldClock,
     PayloadRollout,
-    PayloadSimulator,
     drawn,
     driver_episode,
     joint_efforts_nm,
@@ -43,7 +39,6 @@ from tunenet_logs.recorders.simulators.arm.payload import (
     roll_out,
     through_kinovas_driver,
 )
-from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 ARM = jaco()
 every_engine = pytest.mark.usefixtures("each_engine")
@@ -52,7 +47,6 @@ every_engine = pytest.mark.usefixtures("each_engine")
 
 
 def check_derivatives(path: JointPath, tolerance: float) -> None:
-    """Velocities and accelerations are those of the positions."""
     step = path.seconds[1] - path.seconds[0]
     for values, derivative in (
         (path.position_rad, path.velocity_rad_s),
@@ -95,7 +89,7 @@ def test_frames_are_where_another_library_has_them():
             assert np.abs(data.oMi[index].rotation - poses.rotation[row, index]).max() < 1e-9
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_random_motions_are_smooth_and_allowed(seed: int):
     path = random_path(ARM, seed, rate_hz=240).checked(ARM)
     assert 0.3 < share_of_speed(path) <= 0.7
@@ -160,16 +154,6 @@ def test_a_bad_table_is_one_line_with_the_place(tmp_path: Path, text: str, words
         assert word in str(caught.value)
 
 
-def test_a_path_of_other_joints_or_with_holes_is_none():
-    path, none = circle(10), np.zeros((50, 7))
-    with pytest.raises(UsageError, match="6"):
-        JointPath(path.seconds, *(none[:, :6],) * 3).checked(ARM)
-    with pytest.raises(UsageError, match="finite"):
-        JointPath(path.seconds, none + np.nan, none, none)
-    with pytest.raises(UsageError, match="increase"):
-        JointPath(path.seconds[::-1], none, none, none)
-
-
 # ---- Torques: a rollout and inverse dynamics agree; payloads do what they weigh
 
 SHIFTED = Payload(0.7, (0.01, 0.02, -0.01))
@@ -195,41 +179,6 @@ def test_a_rollout_applies_the_torques_of_inverse_dynamics_whatever_ran_before()
 
 
 @every_engine
-def test_torques_are_linear_in_the_mass_and_in_gravity():
-    path = random_path(ARM, 2)
-    empty = joint_efforts_nm(ARM, path)
-    unit = joint_efforts_nm(ARM, path, Payload(1.0)) - empty
-    for mass in (0.0, 0.4, 1.7, 5.0):
-        efforts = joint_efforts_nm(ARM, path, Payload(mass))
-        assert np.abs(efforts - (empty + mass * unit)).max() < 1e-9
-    path = circle()
-    unit = joint_efforts_nm(ARM, path, Payload(1.0)) - joint_efforts_nm(ARM, path)
-    # measured in a prototype of the same arm: joint 7 sees nothing
-    per_joint = np.sqrt(np.mean(unit**2, axis=0))
-    assert per_joint == pytest.approx([0.08, 4.06, 0.25, 2.54, 1.77, 0.93, 0.0], abs=0.005)
-    path = circle(60, 0.1)
-    none = np.zeros_like(path.velocity_rad_s)
-    still = replace(path, velocity_rad_s=none, acceleration_rad_s2=none)
-    doubled = joint_efforts_nm(ARM, still, None, (0.0, 0.0, -2 * GRAVITY_M_S2))
-    assert np.abs(doubled - 2 * joint_efforts_nm(ARM, still)).max() < 1e-9
-    assert np.abs(joint_efforts_nm(ARM, still, None, (0.0, 0.0, 0.0))).max() < 1e-9
-
-
-@every_engine
-def test_the_simulators_give_episodes():
-    simulator = PayloadSimulator(ARM, circle(), SHIFTED.com_m)
-    episode = simulator.rollout({"payload_mass": 0.7})
-    efforts = episode.signals[f"{TOPIC}.effort"]
-    assert (efforts.columns, efforts.unit) == (ARM.joint_names, "N·m")
-    assert np.abs(efforts.values - joint_efforts_nm(ARM, circle(), SHIFTED)).max() < 1e-9
-    assert episode.info.kind == "payload"
-    assert episode.info.truth["payload_mass"] == 0.7
-    assert episode.info.truth["payload_com_y"] == 0.02
-    again = simulator.rollout({"payload_mass": 0.7}).signals[f"{TOPIC}.effort"].values
-    assert np.array_equal(again, efforts.values)
-
-
-@every_engine
 def test_the_rollout_simulator_samples_what_was_before_a_step():
     settings = replace(CALIBRATED, samples=240)
     simulator = PayloadRollout(ARM, circle_at(settings.times()), SHIFTED.com_m, settings)
@@ -240,16 +189,6 @@ def test_the_rollout_simulator_samples_what_was_before_a_step():
     assert rms(efforts.values - joint_efforts_nm(ARM, wanted, SHIFTED)) < 0.001
     reached = episode.signals[f"{TOPIC}.position"].values
     assert np.abs(reached - wanted.position_rad).max() < 2e-4
-
-
-@every_engine
-@pytest.mark.parametrize("mass", [-0.1, 20.1, float("nan"), float("inf")])
-def test_the_engine_never_sees_a_bad_mass(mass: float):
-    simulator = PayloadSimulator(ARM, circle(10, 1))
-    with pytest.raises(UsageError, match="payload_mass"):
-        simulator.rollout({PAYLOAD_MASS.name: mass})
-    with pytest.raises(UsageError, match="friction"):
-        simulator.rollout({"friction": 0.1})
 
 
 # ---- Disturbances
@@ -268,15 +207,6 @@ def of(episode: Episode, part: str) -> np.ndarray:
 
 def effort(**disturbances: Any) -> np.ndarray:
     return of(driver_episode(ARM, PATH, HELD, Disturbances(**disturbances)), "effort")
-
-
-def test_without_disturbances_torques_are_the_ideal_ones(ideal: np.ndarray):
-    episode = driver_episode(ARM, PATH, HELD, Disturbances())
-    assert np.array_equal(of(episode, "effort"), ideal)
-    assert np.array_equal(of(episode, "position"), PATH.position_rad)
-    assert np.array_equal(of(episode, "velocity"), PATH.velocity_rad_s)
-    assert episode.info.truth["payload_mass"] == 0.6
-    assert dict(episode.info.notes) == {}
 
 
 def test_noise_offsets_gains_and_friction(ideal: np.ndarray):
@@ -329,21 +259,6 @@ def test_fields_are_new_at_their_own_rates_and_repeated_between():
         assert np.all(np.any(np.diff(of(slow, part), axis=0) != 0, axis=1))
 
 
-def test_the_same_seed_is_the_same_arm_on_another_run():
-    disturbances = through_kinovas_driver(drawn(5, ARM))
-    first = driver_episode(ARM, PATH, HELD, disturbances)
-    again = driver_episode(ARM, PATH, HELD, through_kinovas_driver(drawn(5, ARM)))
-    assert np.array_equal(of(first, "effort"), of(again, "effort"))
-    assert first.info == again.info
-    tare = disturbances.another_run()
-    assert replace(tare, noise_seed=disturbances.noise_seed) == disturbances
-    empty = driver_episode(ARM, PATH, None, tare)
-    assert empty.info.truth["payload_mass"] == 0.0
-    other = driver_episode(ARM, PATH, HELD, tare)
-    assert not np.array_equal(of(other, "effort"), of(first, "effort"))
-    assert first.info.notes["offset_nm"] == empty.info.notes["offset_nm"]
-
-
 def test_drawn_disturbances_are_as_large_as_stated():
     many = [drawn(seed, ARM) for seed in range(300)]
     sizes = {
@@ -361,28 +276,6 @@ def test_drawn_disturbances_are_as_large_as_stated():
     assert min(min(drawn(seed, ARM, either).coulomb_nm) for seed in range(3)) < -0.1
 
 
-@pytest.mark.parametrize(
-    ("settings", "bad"),
-    [
-        (Disturbances(), {"torque_noise_nm": float("nan")}),
-        (Disturbances(), {"torque_noise_nm": -0.1}),
-        (Disturbances(), {"lag_s": -0.1}),
-        (Disturbances(), {"offset_nm": (float("inf"),) * 7}),
-        (Disturbances(), {"rate_hz": 0.0}),
-        (FieldClock(), {"position_hz": 0.0}),
-        (CALIBRATED, {"step_hz": 0}),
-        (CALIBRATED, {"burn_in": 0}),
-        (CALIBRATED, {"force_nm": float("nan")}),
-        (CALIBRATED, {"position_gain": 2}),
-    ],
-)
-def test_bad_disturbances_and_settings_are_refused(settings: Any, bad: Mapping[str, object]):
-    with pytest.raises(UsageError, match=next(iter(bad))):
-        replace(settings, **bad)
-
-
-def test_disturbances_of_other_arms_and_paths_too_short_are_refused():
-    with pytest.raises(UsageError, match=r"offset_nm.*6 values for 7"):
-        effort(offset_nm=(0.0,) * 6)
+def test_a_path_too_short_is_refused():
     with pytest.raises(UsageError, match="too short"):
         driver_episode(ARM, circle(240, 0.05), None, through_kinovas_driver(drawn(1, ARM)))

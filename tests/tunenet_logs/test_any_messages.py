@@ -1,21 +1,34 @@
-"""Messages that are decoded by the definition in their log: of ROS, IDL and DDS, one or many."""
+"""Messages of any type: by the definition in their log, by their shape, or as a user names them."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from tests.tunenet_logs.any_message_logs import START_NS, STEP_NS, RosLog
+from tests.message_logs import (
+    START_NS,
+    STEP_NS,
+    Schema,
+    definition,
+    header,
+    in_steps,
+    ros2,
+    write_cdr,
+    write_json,
+    write_raw,
+)
+from tests.message_logs import message as made
+from tests.reading import one, read, refusal, skipped
 from tunenet_logs import messages
 from tunenet_logs.episode import Episode
+from tunenet_logs.errors import LogError
 from tunenet_logs.formats.base import (
     MessageError,
     RawChannel,
@@ -25,7 +38,8 @@ from tunenet_logs.formats.base import (
 )
 from tunenet_logs.formats.decoders import listed_type
 from tunenet_logs.formats.mcap import read_mcap
-from tunenet_logs.formats.ros import any_ros_type, known_types, parsed, stacked_decoder
+from tunenet_logs.formats.options import ReadOptions
+from tunenet_logs.formats.ros import any_ros_type, parsed
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import heard_by
 
@@ -57,36 +71,16 @@ module geometry_msgs {{ module msg {{ struct Point {{ double x; double y; double
 """
 
 
-class Random:
-    """Messages of a type with anything in them."""
-
-    def __init__(self, store: Any) -> None:
-        self.store, self.rng = store, np.random.default_rng(0)
-
-    def message(self, name: str) -> Any:
-        fields = self.store.fielddefs[name][1]
-        return self.store.types[name](**{label: self._field(*node) for label, node in fields})
-
-    def _field(self, node: Any, of: Any) -> Any:
-        if node in (Nodetype.BASE, Nodetype.NAME):
-            return self._one(node, of)
-        (inner, kind), count = of
-        number = count if node == Nodetype.ARRAY else int(self.rng.integers(0, 4))
-        values = [self._one(inner, kind) for _ in range(number)]
-        if inner == Nodetype.BASE and kind[0] != "string":
-            return np.array(values, np.uint8 if kind[0] in ("byte", "char") else kind[0])
-        return values
-
-    def _one(self, node: Any, of: Any) -> Any:
-        if node == Nodetype.NAME:
-            return self.message(of)
-        if of[0] == "string":
-            return "abcdefgh"[: self.rng.integers(0, 8)]
-        if of[0] == "bool":
-            return bool(self.rng.integers(2))
-        if "float" in of[0]:
-            return float(np.float32(self.rng.normal()))
-        return int(self.rng.integers(0, 100))
+def anything(store: Any, node: Nodetype, of: Any, rng: np.random.Generator) -> Any:
+    """Of a type, anything that it can hold."""
+    if node == Nodetype.NAME:
+        return {name: anything(store, *one, rng) for name, one in store.fielddefs[of][1]}
+    if node == Nodetype.BASE:
+        number = int(rng.integers(8))
+        known = {"string": "abcdefgh"[:number], "bool": bool(number % 2)}
+        return known.get(of[0], float(np.float32(rng.normal())) if "float" in of[0] else number)
+    count = of[1] if node == Nodetype.ARRAY else int(rng.integers(4))
+    return [anything(store, *of[0], rng) for _ in range(count)]
 
 
 def same(theirs: Any, ours: Any) -> bool:
@@ -107,9 +101,9 @@ def test_what_was_written_is_read(kind: str, encoding: str):
     text, _ = store.generate_msgdef(kind, ros_version=1 if is_ros1 else 2)
     types = parsed(text.encode(), "ros1msg" if is_ros1 else "ros2msg", kind)
     _, decode = any_ros_type(types, kind, is_ros1=is_ros1)
-    maker = Random(store)
+    rng = np.random.default_rng(0)
     for _ in range(10):
-        message = maker.message(kind)
+        message = made(store, kind, anything(store, Nodetype.NAME, kind, rng))
         if is_ros1:
             data = bytes(store.serialize_ros1(message, kind))
         else:
@@ -118,14 +112,6 @@ def test_what_was_written_is_read(kind: str, encoding: str):
         for end in range(0, len(data) - 8, 7):
             with pytest.raises(MessageError):
                 decode(data[:end])
-
-
-def test_idl_says_what_a_message_is_made_of():
-    types = parsed(IDL.encode(), "ros2idl", "lab_msgs/msg/Ball")
-    assert [(one.name, one.kind, one.count) for one in types["lab_msgs/msg/Ball"]] == [
-        ("position", "geometry_msgs/msg/Point", -1), ("speed", "f", 3), ("more", "d", 0),
-        ("name", "string", -1),
-    ]  # fmt: skip
 
 
 IN_B = "module a {{ module msg {{ struct B {{ {} }}; }}; }};"
@@ -189,32 +175,29 @@ def pose(index: int) -> bytes:
 
 
 POSES = [pose(index) for index in range(30)]
+NAMED_BALLS = [  # place, speed, two numbers more, and a name
+    struct.pack("<4B3d3fI2dI4s", 0, 1, 0, 0, 0.0, 0.0, n / 9, 1, 2, 3, 2, 4, 5, 4, b"red")
+    for n in range(30)
+]
 BALLS = [struct.pack("<4Bi4x3dIf", 0, 1, 0, 0, 7, 0.0, 0.0, n / 9, 1, 0.5) for n in range(30)]
 
 
 def log(
     path: Path,
     kind: str,
-    schema: tuple[str, bytes],
+    said: tuple[str, bytes],
     sent: Sequence[bytes],
     chunk: int = 200_000,
     beside: int = 0,
 ) -> Episode:
     """Of messages under /a, with one of another topic after every `beside`."""
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=chunk, use_chunking=chunk > 0)
-        writer.start("")
-        number = writer.register_schema(kind, *schema)
-        channel = writer.register_channel("/a", "cdr", number)
-        text = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        other = writer.register_channel("/chat", "cdr", text) if beside else 0
-        for index, data in enumerate(sent):
-            stamp_ns = START_NS + index * STEP_NS
-            writer.add_message(channel, stamp_ns, data, stamp_ns)
-            if beside and index % beside == 0:
-                writer.add_message(other, stamp_ns, b"\0\1\0\0" + bytes(index % 9), stamp_ns)
-        writer.finish()
-    return read_episode(path)
+    ours, other = Schema(kind, *said), Schema("std_msgs/msg/String", text=b"string data")
+    raw = []
+    for index, data in enumerate(sent):
+        raw.append(("/a", ours, START_NS + index * STEP_NS, data))
+        if beside and index % beside == 0:
+            raw.append(("/chat", other, raw[-1][2], b"\0\1\0\0" + bytes(index % 9)))
+    return read_episode(write_raw(path, raw, chunk_bytes=chunk))
 
 
 def usual(kind: str) -> tuple[str, bytes]:
@@ -222,16 +205,17 @@ def usual(kind: str) -> tuple[str, bytes]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "definition", "sent", "frame"),
+    ("kind", "form", "definition", "sent", "frame"),
     [
-        ("geometry_msgs::msg::PoseStamped", POSE_IDL, POSES, "lab"),
-        ("lab::Ball", BALL_IDL, BALLS, ""),
+        ("geometry_msgs::msg::PoseStamped", "omgidl", POSE_IDL, POSES, "lab"),
+        ("lab::Ball", "omgidl", BALL_IDL, BALLS, ""),
+        ("lab_msgs/msg/Ball", "ros2idl", IDL.encode(), NAMED_BALLS, ""),
     ],
 )
-def test_definitions_of_the_omg(
-    tmp_path: Path, kind: str, definition: bytes, sent: list[bytes], frame: str
+def test_definitions_in_idl(
+    tmp_path: Path, kind: str, form: str, definition: bytes, sent: list[bytes], frame: str
 ):
-    (signal,) = log(tmp_path / "a.mcap", kind, ("omgidl", definition), sent).signals.values()
+    (signal,) = log(tmp_path / "a.mcap", kind, (form, definition), sent).signals.values()
     assert signal.values[:, 2].tolist() == [index / 9 for index in range(30)]
     assert signal.frame == frame
 
@@ -282,20 +266,17 @@ def test_joints_in_plain_xcdr2(tmp_path: Path, has_sizes: bool, order: str):
 
 def test_dynamic_joint_states(tmp_path: Path):
     value, kind = "control_msgs/msg/InterfaceValue", "control_msgs/msg/DynamicJointState"
-    ros = RosLog({value: "string[] interface_names\nfloat64[] values",
-                  kind: "std_msgs/Header header\nstring[] joint_names\n"
-                  "control_msgs/InterfaceValue[] interface_values"})  # fmt: skip
-    names = ["effort", "position"]
-    sent = []
-    for index in range(40):
-        values = [
-            ros.make(value, interface_names=names, values=[first, index / 7])
-            for first in (1.0, 2.0)
-        ]
-        header = ros.header(index)
-        sent.append(ros.make(kind, header=header, joint_names=["a", "b"], interface_values=values))
-    ros.write(tmp_path / "a.mcap", {"/dynamic_joint_states": (kind, sent)})
-    position, effort = read_episode(tmp_path / "a.mcap").signals.values()
+    types = {value: "string[] interface_names\nfloat64[] values",
+             kind: "std_msgs/Header header\nstring[] joint_names\n"
+             "control_msgs/InterfaceValue[] interface_values"}  # fmt: skip
+    sent = [
+        {"header": header(START_NS + index * STEP_NS), "joint_names": ["a", "b"],
+         "interface_values": [{"interface_names": ["effort", "position"],
+                               "values": [first, index / 7]} for first in (1.0, 2.0)]}
+        for index in range(40)
+    ]  # fmt: skip
+    path = write_cdr(tmp_path / "a.mcap", in_steps("/dynamic_joint_states", kind, sent), types)
+    position, effort = read_episode(path).signals.values()
     assert position.values[:, 1].tolist() == [index / 7 for index in range(40)]
     assert effort.values[9].tolist() == [1.0, 2.0]
 
@@ -369,30 +350,260 @@ def test_of_too_many_messages_some_are_kept_evenly_and_that_is_said(tmp_path: Pa
     assert any("two publishers" in warning for warning in warnings)
 
 
-@pytest.mark.parametrize("is_ros1", [False, True])
-def test_stacked_messages_are_those_that_rosbags_decodes(is_ros1: bool):
-    ros, kind = RosLog({}, is_ros1=is_ros1), "nav_msgs/msg/Odometry"
-    of = ros.store.types
-    rows: list[bytes] = []
-    for index in range(9):
-        time = of["builtin_interfaces/msg/Time"](index, 5)
-        header = {"stamp": time, "frame_id": "odom"} | ({"seq": index} if is_ros1 else {})
-        pose = of["geometry_msgs/msg/PoseWithCovariance"](
-            ros.pose(index, 2.0, -index), np.arange(36.0)
-        )
-        turn = of["geometry_msgs/msg/Vector3"](0.0, 0.0, index / 3)
-        twist = of["geometry_msgs/msg/TwistWithCovariance"](
-            of["geometry_msgs/msg/Twist"](turn, turn), np.zeros(36)
-        )
-        child = "ball" if index < 6 else "cube"
-        message = of[kind](of["std_msgs/msg/Header"](**header), child, pose, twist)
-        serialize = ros.store.serialize_ros1 if is_ros1 else ros.store.serialize_cdr
-        rows.append(bytes(serialize(message, kind)))
-    decode = stacked_decoder(known_types(is_ros1=is_ros1), kind, is_ros1=is_ros1)
-    message, same = decode(np.array([list(row) for row in rows], np.uint8))
-    assert same.tolist() == [True] * 6 + [False] * 3
-    assert message.child_frame_id == "ball"
-    assert message.header.stamp.sec.tolist() == list(range(6))
-    assert message.pose.pose.position.z.tolist() == [-float(k) for k in range(6)]
-    assert np.array_equal(message.pose.covariance, np.tile(np.arange(36.0), (6, 1)))
-    assert message.twist.twist.angular.z.tolist() == [k / 3 for k in range(6)]
+# Positions of messages whose types nobody here knows: by their shape, or as a user names them.
+HEIGHTS = [1.5 - 0.01 * index for index in range(20)]
+STAMPED, POSE_ARRAY = "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseArray"
+
+
+def stamped(index: int, **fields: Any) -> dict[str, Any]:
+    """A message whose stamp is 2 ms before it is heard."""
+    return {"header": header(START_NS + index * STEP_NS - 2_000_000, "world"), **fields}
+
+
+def at(z: float) -> dict[str, Any]:
+    return {"position": {"z": z}}
+
+
+def points(axis: str = "z") -> list[Any]:
+    """Heights as one coordinate of a type that is known."""
+    return [stamped(index, point={axis: z}) for index, z in enumerate(HEIGHTS)]
+
+
+TYPES = {
+    "gazebo_msgs/msg/ModelStates": "string[] name\ngeometry_msgs/Pose[] pose\n"
+    "geometry_msgs/Twist[] twist",
+    "px4_msgs/msg/VehicleOdometry": "uint64 timestamp\nuint8 pose_frame\nfloat32[3] position\n"
+    "float32[4] q\nfloat32[3] velocity",
+    "tags_msgs/msg/Tag": "int32[] id\nfloat64[] size\ngeometry_msgs/PoseWithCovarianceStamped pose",
+    "tags_msgs/msg/Tags": "std_msgs/Header header\nTag[] detections",
+    "rigid_msgs/msg/Body": "int32 id\nbool tracking_valid\ngeometry_msgs/PoseStamped pose_stamped",
+    "rigid_msgs/msg/Bodies": "std_msgs/Header header\nBody[] rigid_bodies",
+    "vicon_bridge/msg/Marker": "string marker_name\nstring subject_name\nstring segment_name\n"
+    "geometry_msgs/Point translation\nbool occluded",
+    "vicon_bridge/msg/Markers": "std_msgs/Header header\nuint32 frame_number\nMarker[] markers",
+}
+
+
+def model_states(index: int, z: float) -> Any:
+    """A world with a ball, and a plane that is listed in turns before and behind it."""
+    turn = slice(None, None, 1 if index % 2 else -1)
+    return {"name": ["ball", "plane"][turn], "pose": [at(z), at(0.0)][turn]}
+
+
+def tags(index: int, z: float) -> Any:
+    tag = {"id": [7], "size": [0.1], "pose": stamped(index, pose={"pose": at(z)})}
+    return stamped(index, detections=[tag] if index % 3 else [])
+
+
+def bodies(index: int, z: float) -> Any:
+    body = {"id": 4, "tracking_valid": index != 2, "pose_stamped": stamped(index, pose=at(z))}
+    return stamped(index, rigid_bodies=[body])
+
+
+def vicon(index: int, z: float) -> Any:
+    markers = [
+        {"marker_name": name, "subject_name": "ball", "translation": {"x": 1.0, "y": 2.0, "z": up},
+         "occluded": name == "a" and index == 3}
+        for name, up in (("a", z), ("b", 0.0))
+    ]  # fmt: skip
+    return stamped(index, markers=markers)
+
+
+def markers(index: int, z: float) -> Any:
+    other = {"x": 9.0, "y": 9.0, "z": 9.0}
+    one = {"ns": "ball", "id": 3, "action": 0 if index else 3, "pose": at(z), "points": [other]}
+    return {"markers": [stamped(index, **one)]}
+
+
+@pytest.mark.parametrize(
+    ("kind", "make", "names", "unit", "count"),
+    [
+        ("gazebo_msgs/msg/ModelStates", model_states, ["/a.ball", "/a.plane"], "m", 20),
+        ("px4_msgs/msg/VehicleOdometry", lambda _, z: {"position": [0, 0, z]}, ["/a"], "", 20),
+        ("tags_msgs/msg/Tags", tags, ["/a.7"], "", 13),
+        ("rigid_msgs/msg/Bodies", bodies, ["/a.4"], "", 19),
+        ("visualization_msgs/msg/MarkerArray", markers, ["/a.ball.3"], "m", 19),
+        ("vicon_bridge/msg/Markers", vicon, ["/a.a.ball", "/a.b.ball"], "", 19),
+        (POSE_ARRAY, lambda index, z: stamped(index, poses=[at(z)] * 2), ["/a.0", "/a.1"], "m", 20),
+    ],
+)  # fmt: skip
+def test_types_of_labs(
+    tmp_path: Path, kind: str, make: Callable[..., Any], names: list[str], unit: str, count: int
+):
+    sent = in_steps("/a", kind, map(make, range(20), HEIGHTS))
+    path = write_cdr(tmp_path / "a.mcap", sent, TYPES)
+    signals = read_episode(path).signals
+    assert sorted(signals) == names
+    signal = signals[names[0]]
+    assert (signal.unit, len(signal.stamps_ns)) == (unit, count)
+    assert signal.values[-1, 2] == pytest.approx(HEIGHTS[-1])
+    if make is vicon:  # those that are hidden are left out, and a unit may be said
+        assert np.array_equal(signal.values[:, 2], np.delete(HEIGHTS, 3))
+        assert signal.stamps_ns[0] == START_NS - 2_000_000
+        scaled = read_episode(path, ReadOptions(length_unit="mm")).signals[names[0]]
+        assert (scaled.unit, scaled.values[0, 2]) == ("m", pytest.approx(0.0015))
+
+
+def test_what_says_too_little_is_not_read(tmp_path: Path):
+    """Entries by number whose number changes, and two of one name."""
+    path = tmp_path / "a.mcap"
+    counts = [3 if index == 5 else 2 for index in range(20)]
+    sent = [stamped(n, poses=[at(z)] * counts[n]) for n, z in enumerate(HEIGHTS)]
+    write_cdr(path, in_steps("/poses", POSE_ARRAY, sent))
+    assert not read_episode(path).signals
+    assert (
+        "choose one with --columns z=/poses.poses[0].position.z"
+        in skipped(read_episode(path))["/poses"]
+    )
+    messages = [
+        {"objects": [{"label": name, "position": [0, 0, z]} for name in ("ball", "x", "x")]}
+        for z in HEIGHTS
+    ]
+    episode = read_episode(write_json(path, in_steps("/objects", "", messages)))
+    assert list(episode.signals) == ["/objects.ball"]
+    assert "40 entries were left out" in " ".join(episode.warnings)
+
+
+def test_what_is_known_by_type_comes_first(tmp_path: Path):
+    kind = "a_msgs/msg/Where"
+    shaped = [{"position": [0.0, 0.0, z]} for z in HEIGHTS]
+    sent = [*in_steps("/a", kind, shaped), *in_steps("/z", STAMPED, points())]
+    path = write_cdr(tmp_path / "a.mcap", sent, {kind: "float64[3] position"})
+    signals = read_episode(path).signals
+    assert [(one.name, one.unit) for one in signals.values()] == [("/z", "m"), ("/a", "")]
+    assert np.array_equal(signals["/a"].values[:, 2], HEIGHTS)
+    assert np.array_equal(signals["/a"].stamps_ns, START_NS + STEP_NS * np.arange(20))
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ("geometry_msgs/Point position\ngeometry_msgs/Pose pose", "several positions"),
+        ("geometry_msgs/Quaternion pose", "not one that a task uses"),
+        ("geometry_msgs/Vector3 speed", "not one that a task uses"),
+    ],
+)
+def test_what_does_not_say_one_position_is_not_read(tmp_path: Path, fields: str, said: str):
+    kind = "a_msgs/msg/What"
+    text = definition(ros2({kind: fields}), kind)
+    path = write_raw(tmp_path / "a.mcap", [("/a", Schema(kind, text=text), 1, bytes(200))])
+    assert said in skipped(read_episode(path))["/a"]
+
+
+def test_json_that_only_later_says_something_and_json_of_other_things(tmp_path: Path):
+    messages = [{"markers": []}] * 3 + [
+        {"markers": [{"name": "m", "position": {"x": 0, "y": 0, "z": z}}]} for z in HEIGHTS
+    ]
+    episode = read_episode(write_json(tmp_path / "a.mcap", in_steps("/tracker", "t", messages)))
+    assert np.array_equal(episode.signals["/tracker.m"].values[:, 2], HEIGHTS)
+    messages = [{"note": float("nan")}, {"note": 1}, [1, 2]] * 100
+    episode = read_episode(write_json(tmp_path / "b.mcap", in_steps("/notes", "t", messages)))
+    assert not episode.losses  # is no damage
+    assert episode.channels[0].skipped == "its type is not one that a task uses"
+
+
+OF_TYPE = b"\n" + b"=" * 80 + b"\nMSG: "
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"a_msgs/Inner position" + OF_TYPE + b"a_msgs/Inner\na_msgs/Inner position",
+        b"a_msgs/Inner[1000000000] markers" + OF_TYPE + b"a_msgs/Inner\n",
+        b"float64[3] position\n\x00\xff",
+        b"float64[99999999999] position\nfloat64 z",
+        b"a_msgs/Missing position\nfloat64 z",
+        b"".join(OF_TYPE[1:] + b"a_msgs/T%d\nT%d position0\nT%d position1\n" % (at, at + 1, at + 1)
+                 for at in range(40)),
+    ],
+)  # fmt: skip
+def test_a_definition_that_is_made_to_hurt_is_passed_over(tmp_path: Path, text: bytes):
+    sent = [("/a", Schema("a_msgs/msg/T0", text=text), 1, bytes(100))]
+    episode = read_episode(write_raw(tmp_path / "a.mcap", sent))
+    assert not episode.signals
+    assert episode.channels[0].skipped
+
+
+# Fields that a user names.
+BALL = "lab_msgs/msg/Ball"
+FIELDS = (
+    "std_msgs/Header header\nuint64 timestamp\nfloat32[] values\n"
+    "geometry_msgs/Point[] points\nfloat64 height\nfloat64 hit\nstring name"
+)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    sent = [
+        stamped(index, timestamp=5_000_000 + 10_000 * index, values=[z, 2 * z, 3 * z],
+                points=[{}, {"y": 7.0, "z": z}], height=z, hit=0.01 * index, name="ball")
+        for index, z in enumerate(HEIGHTS)
+    ]  # fmt: skip
+    both = [*in_steps("/ball", BALL, sent), *in_steps("/lab/point", STAMPED, points("y"))]
+    return write_cdr(tmp_path / "a.mcap", both, {BALL: FIELDS})
+
+
+@pytest.mark.parametrize(
+    ("columns", "expected"),
+    [
+        ("z=/ball.height", [0, 0, 1]),
+        ("z=ball.height", [0, 0, 1]),
+        ("x=/ball.values[2],z=/ball.height", [3, 0, 1]),
+        ("z=/ball.points[1].z", [0, 0, 1]),
+        ("z=/lab/point.point.y", [0, 0, 1]),
+    ],
+)
+def test_a_position_is_named_by_its_topic(path: Path, columns: str, expected: list[float]):
+    signal = one(path, None, columns)
+    topic, unit = ("/lab/point", "m") if "lab" in columns else ("/ball", "")
+    assert (signal.name, signal.columns, signal.unit) == (topic, ("x", "y", "z"), unit)
+    assert signal.values == pytest.approx(np.outer(HEIGHTS, expected), rel=1e-6)
+    assert signal.stamps_ns[0] == START_NS - 2_000_000
+
+
+def test_units_clocks_impacts_joints_and_currents_that_are_named(path: Path):
+    signal = one(path, None, "z=/lab/point.point.y", length_unit="mm")  # goes before a type's
+    assert (signal.unit, signal.values[0, 2]) == ("m", pytest.approx(0.0015))
+    signal = one(
+        path, None, "t=/ball.timestamp,z=/ball.height"
+    )  # its unit is told by the log's clock
+    assert np.array_equal(signal.stamps_ns, 5_000_000_000 + STEP_NS * np.arange(20))
+    signal = one(path, None, "times=/ball.hit")
+    assert (signal.name, signal.columns, signal.unit) == ("impacts", ("impact",), "1")
+    assert signal.seconds == pytest.approx(0.01 * np.arange(20))
+    signal = one(path, None, "times=/ball")  # of the messages
+    assert signal.stamps_ns[0] == START_NS - 2_000_000
+    assert np.all(signal.values == 1)
+    columns = "position_1=/ball.values[0],position_2=/ball.values[1],current_1=/ball.height"
+    signals = read(path, None, columns).signals
+    assert {name: (one.unit, one.columns) for name, one in signals.items()} == {
+        "/ball.position": ("rad", ("joint1", "joint2")),
+        "/ball.current": ("A", ("joint1",)),
+    }
+    signals = read(path, None, columns, torque_constants=(2.0,)).signals
+    assert signals["/ball.effort"].values[:, 0] == pytest.approx(2 * np.array(HEIGHTS))
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ("z=/bal.height", "no topic of --columns z=/bal.height (there are: /ball, /lab/point"),
+        ("z=/ball.heigth", "has no heigth; of /ball there are: header.stamp"),
+        ("z=/ball.name", "is no number"),
+        ("z=/ball", "is a whole message"),
+        ("x=/ball.height,z=/lab/point.point.z", "name fields of one topic"),
+        ("z=/ball.values[7]", "hold no value"),
+    ],
+)
+def test_what_is_not_there_is_said_in_one_line(path: Path, columns: str, said: str):
+    assert said in refusal(path, None, columns)
+
+
+def test_json_is_read_by_hand_too(tmp_path: Path):
+    messages = [{"a": {"b c": [0, z]}, "t": 0.01 * at} for at, z in enumerate(HEIGHTS)]
+    path = write_json(tmp_path / "a.mcap", in_steps("/j", "", messages))
+    signal = one(path, None, "t=/j.t,z=/j.a.b c[1]")
+    assert np.array_equal(signal.values[:, 2], HEIGHTS)
+    assert signal.seconds == pytest.approx(0.01 * np.arange(20))
+    with pytest.raises(LogError, match="has no q"):
+        one(path, None, "z=/j.q")

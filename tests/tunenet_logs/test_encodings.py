@@ -5,17 +5,16 @@ from __future__ import annotations
 import base64
 import copy
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from tests.strangers import WRITERS, Stranger, foxglove, write_texts
-from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.analysis.tuning import tune_log
+from tests.message_logs import foxglove, in_steps, write_json, write_protobuf
+from tests.reading import tuned
+from tests.strangers import WRITERS, Stranger
 from tunenet_logs.formats.base import MessageError, RawChannel, UnusableError
 from tunenet_logs.formats.decoders import listed_type
 from tunenet_logs.formats.message_types import message_type_of
@@ -61,7 +60,7 @@ EACH = [{"name": "a", "effort": 1}, {"name": "b", "effort": 2}]
     ],
 )  # fmt: skip
 def test_json_of_every_type(tmp_path: Path, type_name: str, message: dict, topic: str, values):
-    write_texts(tmp_path / "a.mcap", type_name, [message])
+    write_json(tmp_path / "a.mcap", in_steps("/any", type_name, [message]))
     (signal,) = read_episode(tmp_path / "a.mcap").signals.values()
     assert (signal.name, signal.values.tolist()) == (topic, values)
     assert signal.stamps_ns.tolist() == [7_000_000_008]
@@ -74,7 +73,7 @@ def test_json_of_every_type(tmp_path: Path, type_name: str, message: dict, topic
 )
 def test_pictures_as_base64_and_as_numbers(tmp_path: Path, data: Any):
     message = {"header": ROS2, "format": "jpeg", "data": data}
-    write_texts(tmp_path / "a.mcap", "sensor_msgs/msg/CompressedImage", [message])
+    write_json(tmp_path / "a.mcap", in_steps("/any", "sensor_msgs/msg/CompressedImage", [message]))
     (frame,) = read_episode(tmp_path / "a.mcap").frames()
     assert frame.data == b"\xff\xd8picture"
 
@@ -111,7 +110,7 @@ def text(message: Any) -> bytes:
     ],
 )  # fmt: skip
 def test_what_is_no_pose_is_counted_and_left_out(tmp_path: Path, message: Any):
-    write_texts(tmp_path / "a.mcap", KIND, [POSE, message, POSE | {"more": 1}])
+    write_json(tmp_path / "a.mcap", in_steps("/any", KIND, [POSE, message, POSE | {"more": 1}]))
     episode = read_episode(tmp_path / "a.mcap")
     assert len(episode.signals["/any"].values) == 1  # the third has the stamp of the first
     assert any("1 damaged" in loss for loss in episode.losses)
@@ -144,40 +143,6 @@ def test_json_is_bounded_before_it_is_parsed():
     assert message_type_of(RawChannel("/any", "foxglove.Log", "json", "")) is None
 
 
-NAMES = ["header", "stamp", "timestamp", "sec", "nsec", "pose", "position"]
-JSON = st.recursive(
-    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
-    lambda inner: (
-        st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(NAMES), inner, max_size=4)
-    ),
-    max_leaves=12,
-)
-
-
-@given(st.data())
-def test_any_json_gives_only_our_errors(data: st.DataObject):
-    for type_name in (KIND, "sensor_msgs/JointState", "tf2_msgs/msg/TFMessage"):
-        one = RawChannel("/any", type_name, "json", "")
-        kind, decode = message_type_of(one), listed_type(one).decode
-        assert kind is not None
-        said = data.draw(st.one_of(st.binary(max_size=40), JSON.map(text)))
-        try:
-            message = decode(said)
-        except MessageError:
-            continue
-        assert kind.read(message) is not None
-
-
-@given(st.sampled_from(["pose", "timestamp", "pose.position", "pose.position.x"]), JSON)
-def test_a_pose_with_anything_in_it_is_a_pose_or_damaged(path: str, value: Any):
-    try:
-        message = json_decoder()(text(changed(path, value)))
-    except MessageError:
-        return
-    position = message.pose.position
-    assert np.isfinite([position.x, position.y, position.z]).all()
-
-
 # Protobuf.
 def schema_of(name: str = "PoseInFrame") -> Any:
     from mcap_protobuf.schema import build_file_descriptor_set
@@ -191,12 +156,8 @@ def protobuf_decoder(schema: Any, type_name: str = KIND) -> Any:
 
 
 def write(path: Path, *messages: Any) -> Path:
-    from mcap_protobuf.writer import Writer
-
-    with path.open("wb") as file, Writer(file) as writer:
-        for count, message in enumerate(messages):
-            writer.write_message(f"/{type(message).__name__}", message, 5 + count, 5 + count)
-    return path
+    sent = ((f"/{type(one).__name__}", 5 + n, one) for n, one in enumerate(messages))
+    return write_protobuf(path, sent)
 
 
 @pytest.mark.parametrize("restitution", [0.35, 0.8])
@@ -214,9 +175,7 @@ def test_every_encoding_has_the_same_numbers_and_tunes_to_the_same_value(
         unit = "" if name == "table.csv" else "m"  # its columns are called x, y, z
         assert (signal.columns, signal.unit) == (("x", "y", "z"), unit)
         assert not episode.losses
-        tuning = tune_log(tmp_path / name, TuneOptions())
-        assert tuning.estimate is not None, (name, tuning.reason)
-        found.append(float(tuning.estimate[0]))
+        found.append(tuned(tmp_path / name))
     assert np.ptp(found) < 1e-9
     assert abs(found[0] - restitution) < 0.01
 
@@ -266,38 +225,28 @@ def test_files_of_a_schema_come_in_any_order_and_googles_may_be_missing():
         assert decode(memoryview(message.SerializeToString())).pose.position.x == 0.1
 
 
-def forged(change: str) -> Any:
-    files = schema_of()
-    by_name = {one.name.split("/")[-1]: one for one in files.file}
-    pose, point = by_name["PoseInFrame.proto"], by_name["Vector3.proto"].message_type[0]
-    if change == "a text for a number":
-        point.field[0].type = point.field[0].TYPE_STRING
-    elif change == "a list of numbers":
-        point.field[0].label = point.field[0].LABEL_REPEATED
-    elif change == "another name":
-        pose.message_type[0].field[2].name = "attitude"
-    elif change == "no such type":
-        pose.message_type[0].name = "Other"
-    elif change == "a missing file":
-        files.file.remove(by_name["Pose.proto"])
-    elif change == "a circle":
-        by_name["Pose.proto"].dependency.append(pose.name)
-    elif change == "a time of its own":
-        time = next(one for one in files.file if one.name.endswith("timestamp.proto"))
-        time.message_type[0].field[0].type = point.field[0].TYPE_DOUBLE
-    elif change == "a number used twice":
-        point.field[1].number = 1
-    return files
+# By name, a change of the files of a schema: the one of the pose and its places, and a field of it.
+FORGED: dict[str, Callable[[Any, dict[str, Any], Any], object]] = {
+    "a text for a number": lambda _, of, axis: setattr(axis, "type", axis.TYPE_STRING),
+    "a list of numbers": lambda _, of, axis: setattr(axis, "label", axis.LABEL_REPEATED),
+    "another name": lambda _, of, axis: setattr(
+        of["PoseInFrame"].message_type[0].field[2], "name", "attitude"),
+    "no such type": lambda _, of, axis: setattr(of["PoseInFrame"].message_type[0], "name", "Other"),
+    "a missing file": lambda files, of, axis: files.file.remove(of["Pose"]),
+    "a circle": lambda _, of, axis: of["Pose"].dependency.append(of["PoseInFrame"].name),
+    "a time of its own": lambda _, of, axis: setattr(
+        of["timestamp"].message_type[0].field[0], "type", axis.TYPE_DOUBLE),
+    "a number used twice": lambda _, of, axis: setattr(axis, "number", 2),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "change",
-    ["a text for a number", "a list of numbers", "another name", "no such type", "a missing file",
-     "a circle", "a time of its own", "a number used twice"],
-)  # fmt: skip
+@pytest.mark.parametrize("change", FORGED)
 def test_a_forged_schema_is_refused(change: str):
+    files = schema_of()
+    by_name = {Path(one.name).stem: one for one in files.file}
+    FORGED[change](files, by_name, by_name["Vector3"].message_type[0].field[0])
     with pytest.raises(UnusableError, match="schema"):
-        protobuf_decoder(forged(change))
+        protobuf_decoder(files)
 
 
 def test_sizes_are_bounded():
@@ -323,21 +272,3 @@ def test_sizes_are_bounded():
 def test_hostile_messages_are_one_clean_error(data: bytes):
     with pytest.raises(MessageError):
         protobuf_decoder(schema_of())(data)
-
-
-@pytest.mark.parametrize("of", ["message", "schema"])
-@given(st.data())
-def test_any_protobuf_gives_only_our_errors(of: str, data: st.DataObject):
-    schema, whole = schema_of().SerializeToString(), foxglove("PoseInFrame")(frame_id="map")
-    whole.pose.position.x = 0.1
-    raw = bytearray(whole.SerializeToString() if of == "message" else schema)
-    for _ in range(data.draw(st.integers(0, 6))):
-        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
-    for one in (bytes(raw), data.draw(st.binary(max_size=100))):
-        try:
-            if of == "message":
-                protobuf_decoder(schema)(one)
-            else:
-                protobuf_decoder(one)(b"\x1a\x02\x0a\x00")
-        except (UnusableError, MessageError):
-            continue

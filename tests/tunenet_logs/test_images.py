@@ -1,19 +1,38 @@
-"""Images keep their bytes, and a header's claim is checked before memory is spent on it."""
+"""Pictures: of every encoding as their pixels were, and no claim of theirs believed too far."""
 
 from __future__ import annotations
 
-import zlib
+import tracemalloc
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.picture_strangers import (
+    ENCODED,
+    RAW,
+    Fields,
+    compressed,
+    image,
+    packets,
+    png,
+    video,
+    write_pictures,
+)
+from tunenet_logs import messages
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError, TuneNetError
 from tunenet_logs.images import MAX_PIXELS, decode_image, image_format, image_size
+from tunenet_logs.reader import read_episode
+from tunenet_logs.video import CODECS, Packet, decoded, decoded_frame
 
 PICTURE = np.zeros((48, 64, 3), np.uint8)
 PICTURE[:, :32] = (255, 0, 0)  # red, in RGB
@@ -117,31 +136,246 @@ def test_the_largest_image_is_read():
     assert MAX_PIXELS == 6000 * 6000
 
 
-@given(name=st.sampled_from(sorted(WHOLE)), data=st.data())
-def test_a_damaged_image_decodes_or_is_refused(name: str, data: st.DataObject):
-    whole = bytearray(WHOLE[name])
-    for _ in range(data.draw(st.integers(1, 4))):
-        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
-    broken = bytes(whole[: data.draw(st.integers(0, len(whole)))])
-    if name == "png" and len(broken) >= 33:  # else hardly any would pass its checksums
-        broken = broken[:29] + zlib.crc32(broken[12:29]).to_bytes(4, "big") + broken[33:]
+# Pictures of other people's logs: every encoding as its pixels were, nothing believed too far.
+WIDTH, HEIGHT = SIZE = 64, 48
+STAMP_NS = 1_700_000_000_123_456_789
+PIXEL_BYTES = {"rgb8": 3, "bgra8": 4, "mono8": 1, "mono16": 2, "yuyv": 2, "bayer_grbg8": 1}
+
+
+def drawn() -> np.ndarray:
+    """Smooth, and of all colours: no encoding then loses much."""
+    across, down = np.meshgrid(np.linspace(0, 1, WIDTH), np.linspace(0, 1, HEIGHT))
+    parts = [60 + 150 * across, 40 + 180 * down, 200 - 120 * across * down]
+    return np.dstack(parts).astype(np.uint8)
+
+
+RGB = drawn()
+
+
+def read(tmp_path: Path, *messages: Fields) -> list[Frame]:
+    episode = read_episode(write_pictures(tmp_path / "a.mcap", messages))
+    assert not episode.losses
+    return list(episode.frames())
+
+
+@pytest.mark.parametrize("encoding", ENCODED)
+def test_every_encoding_shows_what_was_drawn(tmp_path: Path, encoding: str):
+    data = ENCODED[encoding](RGB)
+    step = WIDTH if encoding.startswith("nv") else None
+    (frame,) = read(tmp_path, image(STAMP_NS, encoding, SIZE, data, step))
+    assert (frame.stamp_ns, frame.encoding) == (STAMP_NS, encoding)
+    assert (frame.data, frame.size_px()) == (data, SIZE)
+    wanted = RGB
+    if "mono" in encoding or encoding.endswith("UC1"):
+        wanted = np.repeat(cv2.cvtColor(RGB, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2)
+    off = np.abs(frame.decode().astype(int) - wanted)[2:-2, 2:-2]
+    is_exact = not encoding.startswith(("bayer", "yuv", "yuyv", "uyvy", "nv"))
+    assert off.max() <= (0 if is_exact else 8)
+
+
+@pytest.mark.parametrize("encoding", PIXEL_BYTES)
+def test_rows_may_be_padded(tmp_path: Path, encoding: str):
+    data, row = ENCODED[encoding](RGB), WIDTH * PIXEL_BYTES[encoding]
+    rows = np.frombuffer(data, np.uint8).reshape(HEIGHT, row)
+    padded = np.pad(rows, ((0, 2), (0, 24)), constant_values=9).tobytes()
+    with_padding = image(STAMP_NS, encoding, SIZE, padded, row + 24)
+    without = image(STAMP_NS + 1, encoding, SIZE, data, 0)
+    assert [one.data for one in read(tmp_path, with_padding, without)] == [data] * 2
+
+
+def test_the_other_byte_order_and_foxgloves_type_are_read(tmp_path: Path):
+    small = np.arange(WIDTH * HEIGHT, dtype="<u2") * 20
+    big = np.pad(small.astype(">u2").reshape(HEIGHT, WIDTH), ((0, 0), (0, 3)))
+    sent = image(STAMP_NS, "mono16", SIZE, big.tobytes(), 2 * WIDTH + 6, is_bigendian=1)
+    (frame,) = read(tmp_path, sent)
+    assert frame.data == small.tobytes()
+    assert np.array_equal(frame.decode()[..., 0].ravel(), small >> 8)
+    fields = {"width": WIDTH, "height": HEIGHT, "encoding": "rgb8", "step": 3 * WIDTH}
+    (frame,) = read(tmp_path, (STAMP_NS, RAW, {**fields, "data": RGB.tobytes()}))
+    assert np.array_equal(frame.decode(), RGB)
+    assert frame.stamp_ns == STAMP_NS
+
+
+def test_a_picture_whose_stamp_was_not_set_has_the_time_of_the_log(tmp_path: Path):
+    """The others keep their own: times of this log are 5 ms later."""
+    data = bytes(WIDTH * HEIGHT)
+    stamps = [0, *(STAMP_NS + number * 33_000_000 for number in range(9))]
+    frames = read(tmp_path, *(image(stamp_ns, "mono8", SIZE, data) for stamp_ns in stamps))
+    assert [one.stamp_ns for one in frames] == [5_000_000, *stamps[1:]]
+
+
+@pytest.mark.parametrize("said", ["jpeg", "bgr8; png compressed ", "rgb8; jpeg compressed bgr8"])
+def test_compressed_pictures_are_what_they_are(tmp_path: Path, said: str):
+    (frame,) = read(tmp_path, compressed(STAMP_NS, said, png(RGB)))
+    assert (frame.encoding, frame.data) == ("png", png(RGB))
+    assert np.array_equal(frame.decode(), RGB)
+
+
+@pytest.mark.parametrize(
+    ("message", "reason"),
+    [
+        (image(STAMP_NS, "32FC1", (2, 2), bytes(16)), "distances"),
+        (image(STAMP_NS, "rgb9", (2, 2), bytes(16)), "'rgb9' are not read"),
+        (compressed(STAMP_NS, "32FC1; compressedDepth rvl", bytes(40)), "distances"),
+        (compressed(STAMP_NS, "16UC1; compressedDepth png", bytes(40)), "distances"),
+        (video(STAMP_NS, "mjpeg", b"\0"), "'mjpeg' is not read"),
+    ],
+)
+def test_what_is_no_picture_is_left_out_with_a_reason(tmp_path: Path, message, reason: str):
+    episode = read_episode(write_pictures(tmp_path / "a.mcap", [message] * 3))
+    assert reason in (episode.channels[0].skipped or "")
+    assert episode.picture_topics == ()
+    assert episode.losses == ()
+
+
+BAD = {
+    "cut": image(STAMP_NS, "rgb8", (4, 4), bytes(47), 12),
+    "no width": image(STAMP_NS, "rgb8", (0, 4), bytes(48)),
+    "short rows": image(STAMP_NS, "rgb8", (4, 4), bytes(48), 11),
+    "odd": image(STAMP_NS, "yuyv", (3, 4), bytes(48)),
+    "over the limit": image(STAMP_NS, "mono8", (2**31, 2**31), bytes(48), 1),
+    "wide step": image(STAMP_NS, "mono8", (4, 4), bytes(48), 2**32 - 1),
+    "one more encoding": image(STAMP_NS, "64FC2", (1, 3), bytes(48)),
+}
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_damaged_pictures_are_counted_and_left_out(tmp_path: Path, bad: str):
+    good = image(STAMP_NS, "rgb8", (4, 4), bytes(range(48)))
+    episode = read_episode(write_pictures(tmp_path / "a.mcap", [BAD[bad], good, BAD[bad]]))
+    assert [frame.data for frame in episode.frames()] == [bytes(range(48))]
+    [said] = [one for one in episode.warnings if "left out" in one]
+    assert said.startswith("/eye: 2 ")
+    assert (said in episode.losses) == ("damaged" in said)
+
+
+# Video in messages: each picture at its own message's stamp, whatever is missing or damaged.
+FILM_WIDTH, FILM_HEIGHT, COUNT = 160, 96, 40
+START_NS, PERIOD_NS = 1_700_000_000_000_000_003, 16_666_667
+ALL = list(range(COUNT))
+CODECS_WRITTEN = ("h264", "h265", "vp9", "av1")
+each_codec = pytest.mark.parametrize("codec", CODECS_WRITTEN)
+
+
+def numbered(count: int = COUNT) -> Iterator[np.ndarray]:
+    """Grey pictures in which a bright column says which one it is."""
+    for number in range(count):
+        pixels = np.full((FILM_HEIGHT, FILM_WIDTH, 3), 60, np.uint8)
+        pixels[:, 3 * number : 3 * number + 6] = (240, 200, 40)
+        yield pixels
+
+
+def stamp(number: int) -> int:
+    return START_NS + number * PERIOD_NS
+
+
+@cache
+def stream(codec: str, keyframe_every: int = 12, b_frames: int = 0) -> tuple[Packet, ...]:
+    made = packets(numbered(), codec, keyframe_every, b_frames)
+    return tuple(Packet(stamp(number), codec, data) for number, data in made)
+
+
+def shown(some: Iterable[Frame]) -> list[int]:
+    """The numbers of the pictures, each checked to be at its own stamp."""
+    numbers = []
+    for frame in some:
+        assert (frame.encoding, frame.size_px()) == ("rgb8", (FILM_WIDTH, FILM_HEIGHT))
+        bright = np.flatnonzero(frame.decode()[10:-10, :, 0].mean(axis=0) > 150)
+        numbers.append(round((bright.mean() - 2.5) / 3))
+        assert frame.stamp_ns == stamp(numbers[-1])
+    return numbers
+
+
+@each_codec
+def test_every_picture_at_its_own_stamp(tmp_path: Path, codec: str):
+    film = [video(one.stamp_ns, codec, one.data) for one in stream(codec)]
+    episode = read_episode(write_pictures(tmp_path / "a.mcap", film))
+    assert episode.picture_topics == ("/eye",)
+    for _ in range(2):
+        assert shown(episode.frames()) == ALL
+
+
+@pytest.mark.parametrize("codec", ["h264", "h265"])
+def test_pictures_that_need_a_later_one(codec: str):
+    """Their messages come out of order; the decoder's delay is flushed at the end."""
+    film = stream(codec, b_frames=2)
+    stamps = [one.stamp_ns for one in film]
+    assert stamps != sorted(stamps)
+    assert shown(decoded(film)) == ALL
+
+
+@each_codec
+def test_begins_with_the_first_picture_that_stands_alone_and_damage_is_skipped(codec: str):
+    assert shown(decoded(stream(codec)[5:])) == ALL[12:]
+    whole = list(stream(codec))
+    for at in (6, 7, 20):
+        whole[at] = Packet(whole[at].stamp_ns, codec, b"\xa5" * 50)
+    whole[30] = Packet(whole[30].stamp_ns, codec, b"")
+    numbers = [round((one.stamp_ns - START_NS) / PERIOD_NS) for one in decoded(whole)]
+    assert {*range(6), *range(12, 20), *range(24, 30), *range(36, 40)} <= set(numbers)
+    assert numbers == sorted(set(numbers))
+
+
+def test_a_stream_that_changes_its_codec_or_to_bare_pixels(tmp_path: Path):
+    parts = [*stream("h264")[:12], *stream("vp9")[12:24], *stream("h264")[24:]]
+    assert shown(decoded(parts)) == ALL
+    film = [video(one.stamp_ns, "h264", one.data) for one in stream("h264")[:12]]
+    still = [
+        image(stamp(number), "rgb8", (FILM_WIDTH, FILM_HEIGHT), pixels.tobytes())
+        for number, pixels in enumerate(numbered())
+    ]
+    path = write_pictures(tmp_path / "a.mcap", [*film, *still[12:]])
+    assert shown(read_episode(path).frames()) == ALL
+
+
+def test_one_picture_in_memory_and_one_of_each_message():
+    """As Python counts it; all that a bomb of AV1 pictures holds would be decoded at once."""
+    tracemalloc.start()
+    for _ in decoded(stream("h264")):
+        pass
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 6 * FILM_WIDTH * FILM_HEIGHT * 3 + 300_000
+    film = stream("av1")
+    bomb = Packet(stamp(0), "av1", b"".join(one.data for one in film))
+    assert list(decoded([bomb])) == []
+    assert shown(decoded([bomb, *film])) == ALL
+
+
+@given(codec=st.sampled_from(CODECS_WRITTEN), data=st.data())
+def test_a_damaged_stream_is_decoded_as_far_as_it_goes(codec: str, data: st.DataObject):
+    some = []
+    for one in stream(codec)[:8]:
+        broken = bytearray(one.data)
+        for at in data.draw(st.lists(st.integers(0, len(broken) - 1), max_size=2)):
+            broken[at] = data.draw(st.integers(0, 255))
+        some.append(Packet(one.stamp_ns, codec, bytes(broken)))
     with suppress(TuneNetError):
-        pixels = Frame(0, "jpeg", broken).decode()
-        assert pixels.dtype == np.uint8
-        assert pixels.shape[2:] == (3,)
+        assert len(list(decoded(some))) <= 8
 
 
-@pytest.mark.parametrize(("least_px", "size"), [(8, (6, 8)), (16, (12, 16)), (17, (24, 32))])
-def test_a_jpeg_is_decoded_small(least_px: int, size: tuple[int, int]):
-    small = decode_image(JPEG, "jpeg", least_px)
-    assert small.shape == (*size, 3)
-    expected = cv2.resize(PICTURE, size[::-1], interpolation=cv2.INTER_AREA)
-    assert np.abs(small.astype(int) - expected).mean() < 8
+@given(codec=st.sampled_from(sorted(CODECS)), parts=st.lists(st.binary(max_size=80), max_size=6))
+def test_noise_is_no_video(codec: str, parts: list[bytes]):
+    assert list(decoded(Packet(0, codec, one) for one in parts)) == []
 
 
-def test_what_cannot_be_decoded_small_is_decoded_whole():
-    assert decode_image(JPEG, "jpeg", 33).shape == PICTURE.shape
-    assert np.array_equal(decode_image(encoded(".png"), "png", 8), PICTURE)
-    for damaged in (with_size(30_000, 30_000), JPEG[:200], b"\xff\xd8"):
-        with pytest.raises(LogError):
-            decode_image(damaged, "jpeg", 8)
+# Pictures of a decoded video: made RGB when they are asked for, at the size that is wanted.
+def picture(width: int, height: int) -> av.VideoFrame:
+    """A smooth one in a video's own colours, each of which two by two pixels share."""
+    y, x = np.mgrid[:height, :width]
+    rgb = np.stack([40 + 150 * x / width, 60 + 120 * y / height, 90 + 60 * (x + y) / (width)], 2)
+    frame = av.VideoFrame.from_ndarray(rgb.astype(np.uint8), format="rgb24")
+    return frame.reformat(format="yuv420p")
+
+
+def test_pixels_that_alternate_stand_for_their_mean_and_are_written_as_seen():
+    board = np.indices((40, 40)).sum(axis=0) % 2 * 255
+    rgb = np.repeat(board[:, :, None], 3, axis=2).astype(np.uint8)
+    frame = decoded_frame(0, av.VideoFrame.from_ndarray(rgb, format="rgb24"), dithered=True)
+    assert np.ptp(frame.decode()[5:-5, 5:-5].astype(int)) < 10
+    frame = decoded_frame(5, picture(16, 8))
+    _, data = messages.frame(frame)
+    assert frame.decode().tobytes() in data
+    later = replace(frame, stamp_ns=9)
+    assert np.array_equal(later.decode(), frame.decode())
+    assert messages.compressed(later).stamp_ns == 9

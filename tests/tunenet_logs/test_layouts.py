@@ -12,32 +12,17 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from tests.conftest import ROOT
-from tests.export_writers_video import write_xlsx
-from tunenet_logs.episode import Episode
-from tunenet_logs.errors import LogError
+from tests.reading import one, read, refusal, write_arrays
 from tunenet_logs.formats.columns import names
-from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions, columns_of
 from tunenet_logs.formats.registry import may_be_log
 from tunenet_logs.reader import read_episode
 
 S, NS = 1_790_000_000, 10**9
 PLACES = np.round(np.random.default_rng(1).uniform(-1, 1, (30, 3)), 6)
 TIMES_NS = S * NS + 10_000_000 * np.arange(30)
-
-
-def read(path: Path, content: str | bytes, options: ReadOptions = AS_IT_SAYS) -> Episode:
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    return read_episode(path, options)
-
-
-def refusal(path: Path, content: str | bytes) -> str:
-    with pytest.raises(LogError) as caught:
-        read(path, content)
-    return str(caught.value)
 
 
 def rows(row: Callable[[int, str, str, np.ndarray], str]) -> str:
@@ -98,10 +83,10 @@ def test_places_under_any_name(tmp_path: Path, name: str, text: str, what: str):
 
 def test_matrices_of_kitti_are_frames(tmp_path: Path):
     kitti = rows(lambda *of: "0 0 1 {:.6f} 1 0 0 {:.6f} 0 1 0 {:.6f}".format(*of[3]))
-    (signal,) = read(tmp_path / "00.txt", kitti).signals.values()
+    signal = one(tmp_path / "00.txt", kitti)
     np.testing.assert_allclose(signal.values, PLACES, atol=1e-9)
     assert signal.counts_frames
-    (signal,) = read(tmp_path / "01.txt", kitti, ReadOptions(fps=50.0)).signals.values()
+    signal = one(tmp_path / "01.txt", kitti, fps=50.0)
     assert signal.rate_hz == pytest.approx(50)
 
 
@@ -115,8 +100,7 @@ def test_echoes_of_joints_of_bare_places_and_of_two_frames(tmp_path: Path):
     bare = rows(lambda s, n, _t, one: f"{s},{n},map,{numbers(one, ',')}")
     told = refusal(path, bare)  # asks by a line that works
     assert told.endswith("--columns x=4,y=5,z=6")
-    columns = ReadOptions(columns=columns_of(told.rpartition(" ")[2]))
-    (signal,) = read(path, bare, columns).signals.values()
+    signal = one(path, bare, told.rpartition(" ")[2])
     np.testing.assert_allclose(signal.values, PLACES)
     assert signal.stamps_ns.tolist() == TIMES_NS.tolist()
     told = refusal(path, ECHO.replace("map", "other", 40) + ECHO.replace("map", "b"))
@@ -179,7 +163,7 @@ def test_lists_in_cells_are_columns(tmp_path: Path, names: str, mark: str, form:
     lines = [
         f"{at / 100}{mark}{form.format(*(scale * one))}{mark}red" for at, one in enumerate(PLACES)
     ]
-    (signal,) = read(tmp_path / "a.csv", "\n".join([names, *lines])).signals.values()
+    signal = one(tmp_path / "a.csv", "\n".join([names, *lines]))
     np.testing.assert_allclose(signal.values, PLACES, atol=1e-12)
     assert signal.unit == ("m" if "mm" in names else "")
     lines[7] = lines[7].partition("]")[0] + '"'  # breaks off, which costs its row
@@ -192,13 +176,13 @@ def test_lists_in_cells_are_columns(tmp_path: Path, names: str, mark: str, form:
 def test_encodings(tmp_path: Path, encoding: str):
     bare = TUM.replace(" ", ",").replace(",0,0,0.6,0.8", "")
     text = f"Drop in Köln, µ\nt (s),x (m),y (m),z (m)\n{bare}"
-    (signal,) = read(tmp_path / "a.dat", text.encode(encoding)).signals.values()
+    signal = one(tmp_path / "a.dat", text.encode(encoding))
     np.testing.assert_allclose(signal.values, PLACES, atol=1e-9)
 
 
 def test_json_under_another_name(tmp_path: Path):
     records = [{"t": at / 100, "z": z} for at, z in enumerate(PLACES[:, 2].tolist())]
-    (signal,) = read(tmp_path / "a.log", json.dumps(records, indent=1)).signals.values()
+    signal = one(tmp_path / "a.log", json.dumps(records, indent=1))
     np.testing.assert_allclose(signal.values[:, 2], PLACES[:, 2])
 
 
@@ -257,29 +241,6 @@ def test_layouts_of_others(name: str):
     assert len(signal.values) == 400
 
 
-NEEDS = {".xlsx": "python_calamine", ".parquet": "pyarrow"}
-
-
-def write(path: Path, table: pd.DataFrame) -> None:
-    """Write a table in the format that a name says."""
-    if path.suffix in NEEDS:
-        pytest.importorskip(NEEDS[path.suffix])
-    if path.suffix == ".csv":
-        table.to_csv(path, index=False)
-    elif path.suffix == ".xlsx":
-        write_xlsx(path, {"S": [list(table), *table.to_numpy().tolist()]})
-    elif path.suffix == ".parquet":
-        table.to_parquet(path)
-    elif path.suffix == ".jsonl":
-        path.write_text("\n".join(map(json.dumps, table.to_dict("records"))))
-    else:
-        arrays = {name: table[name].to_numpy() for name in table}
-        arrays = {
-            name: one.astype("U8") if one.dtype == object else one for name, one in arrays.items()
-        }
-        np.savez(path, **arrays)
-
-
 @pytest.mark.parametrize("name", ["a.csv", "a.xlsx", "a.parquet", "a.jsonl", "a.npz"])
 def test_a_word_and_a_unit_that_are_added_once_are_read_everywhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
@@ -295,7 +256,7 @@ def test_a_word_and_a_unit_that_are_added_once_are_read_everywhere(
         for thing, x in (("vesta", 0.0), ("juno", 5.0))
     ]
     header = ["t (s)", "visota (cubit)", "asteroid", "x (cubit)"]
-    write(tmp_path / name, pd.DataFrame(told, columns=header))
+    write_arrays(tmp_path / name, dict(zip(header, zip(*told, strict=True), strict=True)))
     signals = read_episode(tmp_path / name).signals
     names._meaning_of.cache_clear()
     assert set(signals) == {"track.vesta", "track.juno"}
@@ -311,7 +272,7 @@ def test_a_word_and_a_unit_that_are_added_once_are_read_everywhere(
 def test_times_of_the_day_and_dates_are_read_everywhere(tmp_path: Path, name: str, has_date: bool):
     jump = ["23:59:59.98", "23:59:59.99", "0:00:00.00", "0:00:00.01"]
     days = ["2026-11-21", "2026-11-21", "2026-11-22", "2026-11-22"]
-    table = pd.DataFrame({"Date": days, "Time": jump, "z": [4.0, 3.0, 2.0, 1.0]})
-    write(tmp_path / name, table if has_date else table.drop(columns="Date"))
+    dates = {"Date": days} if has_date else {}
+    write_arrays(tmp_path / name, {**dates, "Time": jump, "z": [4.0, 3.0, 2.0, 1.0]})
     (signal,) = read_episode(tmp_path / name).signals.values()
     assert np.diff(signal.stamps_ns).tolist() == [10_000_000] * 3

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.conftest import ROOT, files_no_larger_than, record
+from tests.message_logs import Schema, write_raw
 from tunenet_logs import messages
 from tunenet_logs.errors import LogError
 from tunenet_logs.outcomes import (
@@ -146,20 +146,17 @@ def test_several_in_one_file_and_in_json(tmp_path: Path):
         "task": "bounce-shot", "ball": "gel", "attempt": 4, "success": True, "shot_height": 0.5,
         "miss_distance": None, "drop_log": "", "tuning": "", "reason": "", "note": "",
     }  # fmt: skip
-    with (tmp_path / "a.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        text = messages.definition(messages.TASK_OUTCOME).encode()
-        ours = writer.register_schema(messages.TASK_OUTCOME, "ros2msg", text)
-        theirs = writer.register_schema("tunenet_msgs/TaskOutcome", "jsonschema", b"{}")
-        cdr = writer.register_channel("/outcome", "cdr", ours)
-        plain = writer.register_channel("/outcome_too", "json", theirs)
-        writer.add_message(writer.register_channel("/other", "json", 0), 0, b"{}", 0)
-        for number in (2, 1):
-            data = messages.encode(to_message(outcome_of(number)), messages.TASK_OUTCOME)
-            writer.add_message(cdr, number, data, number)
-        writer.add_message(plain, 9, json.dumps(said).encode(), 9)
-        writer.finish()
+    text = messages.definition(messages.TASK_OUTCOME).encode()
+    ours = Schema(messages.TASK_OUTCOME, text=text)
+    theirs = Schema("tunenet_msgs/TaskOutcome", "jsonschema", b"{}", "json")
+    numbered = [
+        messages.encode(to_message(outcome_of(number)), messages.TASK_OUTCOME) for number in (2, 1)
+    ]
+    write_raw(tmp_path / "a.mcap", [
+        ("/other", Schema("other", "jsonschema", b"{}", "json"), 0, b"{}"),
+        *(("/outcome", ours, number, data) for number, data in enumerate(numbered)),
+        ("/outcome_too", theirs, 9, json.dumps(said).encode()),
+    ])  # fmt: skip
     first, second, third = read_outcomes(tmp_path / "a.mcap")
     assert (first, second) == (outcome_of(1), outcome_of(2))
     assert (third.ball, third.attempt, third.shot_height_m) == ("gel", 4, 0.5)

@@ -1,37 +1,33 @@
-"""What was written stays: in our reader and in others', when killed, when the disk is full.
+"""What was written stays: in our reader and in others', when the disk is full.
 
 Our MCAP is byte for byte what the mcap library writes of the same.
 """
 
 from __future__ import annotations
 
-import copy
 import errno
 import io
 import os
-import signal
 import subprocess
-import sys
 import time
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
-from rosbags.highlevel import AnyReader
 
-from tests.conftest import Command, files_no_larger_than
+from tests.conftest import files_no_larger_than
+from tests.recorders.live_recorder import OF_OURS
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.reader import read_episode
 from tunenet_logs.timing.stamps import now_ns, wall_ns
-from tunenet_logs.writing.owned_path import LogPlace, WholeFile
-from tunenet_logs.writing.writer import EpisodeWriter, McapOutput
+from tunenet_logs.writing.owned_path import WholeFile
+from tunenet_logs.writing.writer import EpisodeWriter, McapOutput, bare_ending
 
 INFO = EpisodeInfo(kind="drop", source="a test", truth={"restitution": 0.5})
 PERIOD_NS = 10_000_000
@@ -44,41 +40,6 @@ def write(path: Path, pause_s: float = 0.0) -> np.ndarray:
             time.sleep(pause_s if index == 50 else 0)
             writer.write_pose("/ball/pose", index * PERIOD_NS, position)
     return positions
-
-
-def test_comes_back_bit_for_bit_in_our_reader_and_in_others(tmp_path: Path):
-    path = tmp_path / "a.mcap"
-    positions = write(path)
-    episode = read_episode(path)
-    ball = episode.signals["/ball/pose"]
-    assert np.array_equal(ball.values, positions)
-    assert np.array_equal(ball.stamps_ns, np.arange(100) * PERIOD_NS)
-    assert episode.info.truth["restitution"] == 0.5
-    assert episode.info.counts["written"] == 100
-    assert not episode.warnings
-    assert not (tmp_path / "a.mcap.active").exists()
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        assert summary.statistics.message_count == 100
-        assert reader.get_header().profile == "ros2"
-        records = {record.name: record.metadata for record in reader.iter_metadata()}
-        assert records["tunenet/episode"]["truth.restitution"] == "0.5"
-    with AnyReader([path]) as bag:
-        seen: list[Any] = [bag.deserialize(raw, one.msgtype) for one, _, raw in bag.messages()]
-    assert [message.pose.position.z for message in seen] == list(positions[:, 2])
-
-
-def test_frames_keep_their_bytes_and_are_read_when_asked_for(tmp_path: Path):
-    data = os.urandom(5000)
-    with EpisodeWriter(tmp_path / "a.mcap", INFO, live=False) as writer:
-        for index in range(20):
-            writer.write_frame("/camera/image_raw/compressed", Frame(index, "jpeg", data))
-    frames = list(read_episode(tmp_path / "a.mcap").frames())
-    assert [frame.stamp_ns for frame in frames] == list(range(20))
-    assert all(frame.data == data and frame.encoding == "jpeg" for frame in frames)
 
 
 def test_the_same_episode_gives_the_same_bytes_however_slow_the_machine(tmp_path: Path):
@@ -107,26 +68,6 @@ def test_a_live_log_tells_the_receipt_beside_the_acquisition(tmp_path: Path, liv
         assert all(before <= logged <= after for logged, _ in times.values())
     else:
         assert all(logged == published for logged, published in times.values())
-
-
-def test_pixels_and_joints_are_standard_messages(tmp_path: Path):
-    pixels = bytes(range(24))
-    with EpisodeWriter(tmp_path / "a.mcap", INFO, live=False) as writer:
-        writer.write_frame("/raw", Frame(3_000_000_007, "rgb8", pixels, (4, 2)))
-        writer.write_joints("/joint_states", 8, ["a", "b"], [1.0, 2.0], effort_nm=[3.0, 4.0])
-        with pytest.raises(ValueError, match="cannot hold sensor_msgs/msg/JointState"):
-            writer.write_joints("/raw", 6, [], [])  # a topic holds one type
-    with AnyReader([tmp_path / "a.mcap"]) as bag:
-        seen: dict[str, Any] = {
-            one.topic: bag.deserialize(raw, one.msgtype) for one, _, raw in bag.messages()
-        }
-    image, state = seen["/raw"], seen["/joint_states"]
-    assert (image.width, image.height, image.step, image.encoding) == (4, 2, 12, "rgb8")
-    assert image.data.tobytes() == pixels
-    assert (image.header.stamp.sec, image.header.stamp.nanosec) == (3, 7)
-    assert state.name == ["a", "b"]
-    parts = [list(one) for one in (state.position, state.velocity, state.effort)]
-    assert parts == [[1.0, 2.0], [], [3.0, 4.0]]
 
 
 def test_an_error_of_the_recorder_ends_the_log_whole_and_is_named(tmp_path: Path):
@@ -178,8 +119,6 @@ CANNOT = "PATH: its folder cannot be written to"
 @pytest.mark.parametrize(
     ("number", "why"),
     [
-        (errno.ENOENT, f"FOLDER: no such folder; make it first, or {ELSEWHERE}"),
-        (errno.ENOTDIR, f"FOLDER: is no folder; {ELSEWHERE}"),
         (errno.EACCES, f"{CANNOT} (Permission denied); {ELSEWHERE}"),
         (errno.EROFS, f"{CANNOT} (Read-only file system); {ELSEWHERE}"),
         (errno.ENOSPC, "PATH: cannot be written (No space left on device); free some space, or "
@@ -197,114 +136,7 @@ def test_what_cannot_be_written_is_named_as_it_was_given_with_a_remedy(
     with pytest.raises(LogError) as caught:
         EpisodeWriter(tmp_path / "a.mcap", INFO)
     path = str(tmp_path / "a.mcap")
-    assert str(caught.value) == why.replace("FOLDER", str(tmp_path)).replace("PATH", path)
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("tunenet-record", "--simulate", "drop"),
-        ("tunenet-logs", "import", "drop.mcap"),
-        ("tunenet-logs", "recover", "drop.mcap"),
-    ],
-)
-def test_every_command_names_the_folder_that_is_missing(
-    command: Command, drop_log: Path, words: tuple[str, ...]
-):
-    result = command(*words, "-o", "no/where/a.mcap", cwd=drop_log.parent)
-    assert result.returncode == 1
-    missing = f"no/where: no such folder; make it first, or {ELSEWHERE}"
-    assert result.stderr == f"{words[0]}: {missing}\n"
-    file = command(*words, "-o", "drop.mcap/a.mcap", cwd=drop_log.parent)
-    assert file.stderr == f"{words[0]}: drop.mcap: is no folder; {ELSEWHERE}\n"
-    assert [one.name for one in drop_log.parent.iterdir()] == ["drop.mcap"]
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write to every folder")
-@pytest.mark.parametrize("mode", [0o555, 0o000])
-def test_a_folder_that_is_read_only_is_told(tmp_path: Path, mode: int):
-    (tmp_path / "locked").mkdir(mode)
-    with pytest.raises(LogError, match="its folder cannot be written to"):
-        EpisodeWriter(tmp_path / "locked" / "a.mcap", INFO)
-    (tmp_path / "locked").chmod(0o755)
-
-
-@pytest.mark.parametrize(
-    ("bound_mb", "words"),
-    [
-        (0.5, "the disk has 0 MB left and 1 MB are"),
-        (9999, "the disk has 0 MB left and 9999 MB are"),
-        (99_999_999, "the disk has 0 GB left and 100000 GB are"),
-        (10_500, "the disk has 0 GB left and 11 GB are"),
-    ],
-)
-def test_space_is_told_in_whole_numbers(tmp_path: Path, bound_mb: float, words: str):
-    place = LogPlace(tmp_path / "a.mcap", overwrite=False, min_free_bytes=0)
-    bounded = copy.copy(place)
-    bounded.__dict__["_min_free_bytes"] = int(bound_mb * 1e6)
-    assert bounded.why_too_full(1000).startswith(words)
-
-
-RECORDER = """
-import os, struct, time, numpy as np
-from pathlib import Path
-from tunenet_logs.recorders.session import stop_flag
-from tunenet_logs.episode import EpisodeInfo
-from tunenet_logs.writing.writer import EpisodeWriter
-
-with stop_flag() as stop, EpisodeWriter(Path("a.mcap"), EpisodeInfo(kind="drop")) as writer:
-    start = time.monotonic_ns()
-    index = 0
-    print("ready", flush=True)
-    while not stop.is_set():
-        stamp_ns = time.monotonic_ns() - start
-        writer.write_pose("/ball/pose", stamp_ns, np.full(3, float(index)))
-        os.write(2, struct.pack("q", stamp_ns))
-        index += 1
-        time.sleep(0.001)
-"""
-
-
-def recorder(folder: Path, acknowledged: int) -> tuple[subprocess.Popen[bytes], bytes]:
-    """A process that tells on stderr which stamps were acknowledged, and the first so many."""
-    words, pipe = [sys.executable, "-c", RECORDER], subprocess.PIPE
-    process = subprocess.Popen(words, cwd=folder, stdout=pipe, stderr=pipe)
-    assert process.stdout is not None
-    assert process.stderr is not None
-    assert process.stdout.readline() == b"ready\n"
-    return process, process.stderr.read(8 * acknowledged)
-
-
-@pytest.mark.parametrize("count", [1, 150, 400])
-def test_killed_it_loses_the_last_moments_at_most(tmp_path: Path, count: int):
-    process, told = recorder(tmp_path, count)
-    process.kill()
-    assert process.stderr is not None
-    acknowledged = np.frombuffer(told + process.stderr.read(), np.int64)
-    process.wait()
-    assert len(acknowledged) >= count
-    episode = read_episode(tmp_path / "a.mcap.active")
-    ball = episode.signals.get("/ball/pose")
-    kept = 0 if ball is None else len(ball.values)
-    if ball is not None:
-        assert np.array_equal(ball.values[:, 0], np.arange(kept))
-    lost = acknowledged[kept:]
-    assert len(lost) < 2 or lost[-1] - lost[0] < 0.1e9  # all of one chunk that was still open
-    assert any("end of the file is missing" in warning for warning in episode.warnings)
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("count", [0, 120, pytest.param(400, marks=pytest.mark.slow)])
-def test_stopped_by_a_signal_the_log_is_whole(tmp_path: Path, number: int, count: int):
-    process, _ = recorder(tmp_path, count)
-    process.send_signal(number)
-    assert process.wait(60) == 0
-    episode = read_episode(tmp_path / "a.mcap")
-    assert not episode.warnings
-    written = episode.info.counts["written"]
-    assert written >= count
-    ball = episode.signals.get("/ball/pose")
-    assert written == (0 if ball is None else len(ball.values))
+    assert str(caught.value) == why.replace("PATH", path)
 
 
 # Byte for byte what the mcap library writes.
@@ -374,23 +206,6 @@ def test_the_bytes_are_those_of_the_library(tmp_path: Path, opened: Opened, flus
     assert (tmp_path / "a.mcap").read_bytes() == by_the_library(flushes)
 
 
-@pytest.mark.parametrize("count", [0, 3])
-def test_pictures_are_packed_with_little_effort(tmp_path: Path, opened: Opened, count: int):
-    """A chunk that cannot be packed says that it is, as all do, and every reader reads it."""
-    path, pictures = tmp_path / "a.mcap", [os.urandom(100_000) for _ in range(count)]
-    output = McapOutput(opened(path), "ros2", "ours")
-    channel = output.add_channel("/a", "cdr", output.add_schema("a", "ros2msg", "float64 x"))
-    for number, data in enumerate(pictures):
-        output.add_message(channel, number, number, number, data)
-    output.end("last", {})
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        assert [message.data for *_, message in reader.iter_messages()] == pictures
-        summary = reader.get_summary()
-        assert summary is not None
-        assert {one.compression for one in summary.chunk_indexes} == ({"zstd"} if count else set())
-
-
 def test_what_is_given_up_of_the_end_as_room_gets_short(tmp_path: Path, opened: Opened):
     """Every log that has an end reads to its last message, however little of it fits."""
     by_us(opened(tmp_path / "whole.mcap"), flushes=True)
@@ -440,3 +255,157 @@ def test_a_piece_that_does_not_fit_leaves_no_trace(tmp_path: Path, opened: Opene
             assert (file.size_bytes, file.crc32) == (len(taken), zlib.crc32(taken))
     file.append(b"more")
     assert (tmp_path / "a").read_bytes() == taken + b"more"
+
+
+# A disk that takes no more ends a recording: what was acknowledged is read back by everyone.
+DROP = EpisodeInfo(kind="drop")
+
+
+def fill(folder: Path, limit: int, *, live: bool, overwrite: bool = False) -> tuple[int, str]:
+    """Record until it fails; messages acknowledged before, and what is said.
+
+    Args:
+        folder: for a.mcap.
+        limit: of the file's size; 0 for the disk's own.
+        live: whether the source is.
+        overwrite: whether a log there is to be replaced.
+    """
+    acknowledged = 0
+
+    def write() -> None:
+        nonlocal acknowledged
+        rng = np.random.default_rng(0)
+        with EpisodeWriter(folder / "a.mcap", DROP, live=live, overwrite=overwrite) as writer:
+            for index in range(100_000):
+                writer.write_pose("/ball/pose", 1 + index, rng.normal(size=3))
+                acknowledged = writer.written
+
+    bound = files_no_larger_than(limit) if limit else nullcontext()
+    with bound, pytest.raises(LogError) as caught:
+        write()
+    assert caught.value.exit_code == 1
+    assert "\n" not in str(caught.value)
+    return acknowledged, str(caught.value)
+
+
+def heights_in(log: Path, acknowledged: int) -> int:
+    """Check a log that ended early with our reader and with others'; its messages."""
+    episode = read_episode(log)
+    ball = episode.signals.get("/ball/pose")
+    values = np.zeros((0, 3)) if ball is None else ball.values
+    assert np.array_equal(values, np.random.default_rng(0).normal(size=(len(values), 3)))
+    with log.open("rb") as file:
+        assert len(list(make_reader(file).iter_messages())) == len(values)
+        file.seek(0)
+        streamed = NonSeekingReader(file, validate_crcs=True)
+        assert len(list(streamed.iter_messages(log_time_order=False))) == len(values)
+        file.seek(0)
+        summary = make_reader(file).get_summary()
+    if summary is not None and summary.statistics is not None:
+        assert summary.statistics.message_count == len(values)
+    assert len(values) >= acknowledged
+    assert not episode.warnings
+    return len(values)
+
+
+@pytest.mark.parametrize("live", [True, False])
+@pytest.mark.parametrize(
+    "limit", [1, 40, 1200, 4000, 12_000, 20_000, 36_000, 60_000, 66_000, 100_000, 300_001]
+)
+def test_a_file_that_may_not_grow(tmp_path: Path, limit: int, live: bool):
+    acknowledged, said = fill(tmp_path, limit, live=live)
+    if limit < 100:  # not even the beginning fits
+        assert "cannot be written" in said
+        assert not list(tmp_path.iterdir())
+        return
+    [log] = tmp_path.iterdir()
+    size = log.stat().st_size
+    assert size <= limit
+    if live and limit - size < len(bare_ending(0)) and log.name == "a.mcap.active":
+        # The clock ends a live one's chunks anywhere, so once in a hundred runs no end fits.
+        assert f"; {acknowledged} of " in said
+        return
+    assert log.name == "a.mcap"
+    kept = heights_in(log, acknowledged)
+    assert f"; {kept} of " in said
+    assert "are kept in a.mcap;" in said
+    assert kept > 100 or limit < 50_000  # which holds no whole chunk
+    info = read_episode(log).info
+    assert info.kind == "drop"
+    assert info.counts["written"] == kept
+    assert info.counts["captured"] == kept + info.counts["dropped"]
+    assert info.counts["dropped"] > 0
+    assert info.notes["ended"].startswith("writing failed")
+
+
+def test_where_no_end_fits_or_a_log_was_to_be_replaced_it_stays_active(tmp_path: Path):
+    with EpisodeWriter(tmp_path / "a.mcap", DROP, live=False) as writer:
+        rng = np.random.default_rng(0)
+        while not writer.written:
+            writer.write_pose("/ball/pose", 1 + writer.accepted, rng.normal(size=3))
+        size = writer.active_path.stat().st_size
+    folder = tmp_path / "again"
+    folder.mkdir()
+    _, said = fill(folder, size + 40, live=False)
+    assert "kept in a.mcap.active" in said
+    episode = read_episode(folder / "a.mcap.active")
+    assert any("end of the file is missing" in warning for warning in episode.warnings)
+    (folder / "a.mcap.active").unlink()
+    (folder / "a.mcap").write_bytes(OF_OURS + b"the old one")
+    acknowledged, said = fill(folder, 100_000, live=True, overwrite=True)
+    assert (folder / "a.mcap").read_bytes() == OF_OURS + b"the old one"
+    kept = heights_in(folder / "a.mcap.active", acknowledged)
+    assert f"{kept} of " in said
+    assert "kept in a.mcap.active" in said
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 1 MiB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    words = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(folder)]
+    try:
+        mounted = subprocess.run(words, capture_output=True, text=True, timeout=20)
+    except FileNotFoundError:
+        pytest.skip("a full disk needs a small one, and there is no mount command to make it with")
+    if mounted.returncode:
+        why = mounted.stderr.strip()
+        pytest.skip(f"a full disk needs a small one, and only root may mount it ({why})")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True, timeout=20)
+
+
+@pytest.mark.parametrize("live", [True, False])
+@pytest.mark.parametrize("taken", [600_000, 900_000, 1_040_000])
+def test_a_small_disk(small_disk: Path, live: bool, taken: int):
+    (small_disk / "other").write_bytes(bytes(taken))
+    acknowledged, said = fill(small_disk, 0, live=live)
+    assert "No space left on device" in said
+    [left] = [one for one in small_disk.iterdir() if one.name != "other"]
+    assert left.name in said
+    assert f"; {heights_in(left, acknowledged)} of " in said
+
+
+def test_too_little_space_ends_it_whole(small_disk: Path):
+    log, half = small_disk / "a.mcap", 512 * 1024
+    writer = EpisodeWriter(log, DROP, min_free_bytes=half)
+    rng = np.random.default_rng(0)
+    for index in range(2000):
+        writer.write_pose("/ball/pose", 1 + index, rng.normal(size=3))
+    (small_disk / "other").write_bytes(bytes(half))
+
+    def wait() -> None:
+        while True:
+            writer.tick()
+            time.sleep(0.01)
+
+    with pytest.raises(LogError, match=r"2000 of 2000 messages are kept in a\.mcap; free some"):
+        wait()
+    assert heights_in(log, 2000) == 2000
+    info = read_episode(log).info
+    assert info.counts == {"captured": 2000, "written": 2000, "dropped": 0}
+    assert "are to stay free" in info.notes["ended"]
+    with pytest.raises(LogError, match="not recorded, the disk has"):
+        EpisodeWriter(small_disk / "b.mcap", EpisodeInfo(), min_free_bytes=half)
+    assert not (small_disk / "b.mcap.active").exists()

@@ -18,24 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.analysis.evaluation.study import Order, Part, Row, figure, scored, table
-from tunenet_logs.analysis.evaluation.worlds.audio import (
-    Background,
-    FilmedSound,
-    NoBounce,
-    SoundClip,
-    background_sound,
-    draw_negative,
-    draw_sound,
-    film_with_sound,
-    through_aac,
-    track_with_sound,
-    with_sound,
-)
+from tunenet_logs.analysis.evaluation.worlds import audio as sounds
 from tunenet_logs.analysis.evaluation.worlds.ball import BounceHistory, BounceOrder, bounced
-from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.experiment import record_of
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece
-from tunenet_logs.analysis.record import Record
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode, EpisodeInfo
 from tunenet_logs.reader import read_episode
@@ -46,21 +33,19 @@ from tunenet_logs.terminal import Progress
 
 
 def answer_to(episode: Episode, ball: Ball = UNKNOWN_BALL) -> tuple[Row, Array]:
-    """Tune an episode; return the answer, and the impact times heard [s], shape (N,)."""
+    """Tune an episode; return the answer, and the impact times heard [s], shape (N,).
+
+    NaN stands in an answer where there is none; no times are heard of a video.
+    """
     began_s = time.process_time()
     tuning = tune_episode(episode, TuneOptions(ball=ball))
     seconds = time.process_time() - began_s
-    return answer_of(record_of(tuning), seconds), _heard_s(tuning)
-
-
-def answer_of(record: Record, seconds: float) -> Row:
-    """Extract the answer from a record; NaN where there is none."""
-    found = record.estimate("restitution")
-    slope = record.estimate("restitution_slope")
+    record = record_of(tuning)
+    found, slope = (record.estimate(name) for name in ("restitution", "restitution_slope"))
     low, high = np.nan, np.nan
     if found is not None and found.interval95 is not None:
         low, high = np.ravel(found.interval95).tolist()[:2]
-    return {
+    answer: Row = {
         "verdict": record.verdict,
         "reason": record.reason or "",
         # restitution at the first impact that the log determines, and the ends of its interval
@@ -72,17 +57,13 @@ def answer_of(record: Record, seconds: float) -> Row:
         # when each impact was, after the log's first sample, and its restitution
         "rebounds": [[one.impact_s, one.restitution] for one in record.rebounds],
     }
+    times_s = getattr(tuning.detection, "times_s", None)
+    return answer, np.zeros(0) if times_s is None else np.asarray(times_s, np.float64)
 
 
 def is_answered(row: Row) -> bool:
     """Check whether a user gets a value that counts: with its interval, or "ok"."""
     return bool(np.isfinite(row["value"])) and (row["verdict"] == "ok" or np.isfinite(row["low"]))
-
-
-def _heard_s(tuning: Tuning) -> Array:
-    """Return the impact times that a sound alone was tuned by; none of a video."""
-    times = getattr(tuning.detection, "times_s", None)
-    return np.zeros(0) if times is None else np.asarray(times, dtype=np.float64)
 
 
 def without_sound(episode: Episode) -> Episode:
@@ -93,23 +74,22 @@ def without_sound(episode: Episode) -> Episode:
 
 # ---- Cramér-Rao bound: how well onsets of a known jitter tell the second impact's restitution.
 
-
-# Steps of differences: of slope and restitution as they are, of the others in their logarithm.
-_STEPS = {"height_m": 1e-3, "restitution": 1e-4, "slope": 1e-3, "drag_1_m": 1e-2, "contact_s": 2e-2}
-
-# Prior standard deviations, in the same measure; of the drag where the ball is not named, and is.
-_PRIORS = {"height_m": 0.7, "restitution": 0.3, "slope": 0.09, "contact_s": 1.0}
-_LOG_DRAG_SD, _KNOWN_DRAG_SD = 1.1, 0.1
-
-# Mean absolute error over standard deviation, of a normal distribution.
-MEAN_OF_SD = float(np.sqrt(2 / np.pi))
+# Steps of differences and prior standard deviations: of slope and restitution as they are, of the
+# others in their logarithm.
+_STEPS = {
+    "height_m": (1e-3, 0.7),
+    "restitution": (1e-4, 0.3),
+    "slope": (1e-3, 0.09),
+    "drag_1_m": (1e-2, 1.1),  # where the ball is not named
+    "contact_s": (2e-2, 1.0),
+}
 
 
 def bound_sd(history: BounceHistory, count: int, jitter_s: float, *, named: bool) -> float:
     """Return the Cramér-Rao bound on the second impact's restitution (standard deviation).
 
-    The Cramér-Rao bound with priors: unknown are when the recording began, the fall, restitution,
-    slope, drag, and how long a contact lasts.
+    With priors; unknown are when the recording began, the fall, restitution, slope, drag, and how
+    long a contact lasts.
 
     Args:
         history: the bounce.
@@ -119,15 +99,14 @@ def bound_sd(history: BounceHistory, count: int, jitter_s: float, *, named: bool
     """
     count = min(count, len(history.touches_s))
     rows, gains, priors = [np.ones(count)], [0.0], [0.0]
-    for name, step in _STEPS.items():
+    for name, (step, prior_sd) in _STEPS.items():
         ahead, behind = (_bounce_moved(history.order, name, way * step) for way in (1, -1))
         shared = min(count, len(ahead.touches_s), len(behind.touches_s))
         change = np.zeros(count)
         change[:shared] = (ahead.touches_s[:shared] - behind.touches_s[:shared]) / (2 * step)
         rows.append(change)
         gains.append((ahead.restitutions[1] - behind.restitutions[1]) / (2 * step))
-        drag_sd = _KNOWN_DRAG_SD if named else _LOG_DRAG_SD
-        priors.append(_PRIORS.get(name, drag_sd) ** -2)
+        priors.append((0.1 if named and name == "drag_1_m" else prior_sd) ** -2)
     jacobian, gain = np.column_stack(rows) / jitter_s, np.array(gains)
     information = jacobian.T @ jacobian + np.diag(priors)
     return float(np.sqrt(gain @ np.linalg.solve(information, gain)))
@@ -165,81 +144,41 @@ def onset_errors_s(times_s: Array, impacts_s: Array, within_s: float = 0.005) ->
 # first six give five flights. There is no air in it and no doubt.
 
 
-TYPICAL_THRESHOLD = 0.1  # of full scale, unless a user sets another
-DELAY_S = 0.1  # likewise
-MAX_EVENTS = 6
-
-# Thresholds that are tried: so many, evenly in the logarithm, from this fraction of the loudest
-# sample on.
-_THRESHOLDS, _MIN_THRESHOLD = 60, 0.003
-
-# An event is an impact's if it is so much after or before the beginning of its sound.
-_LATE_S, _EARLY_S = 0.02, 0.001
-
-
-@dataclass(frozen=True, eq=False)
-class PhyphoxReading:
-    """Reading of the app at one threshold."""
-
-    threshold: float  # of full scale
-    events_s: Array  # at most six, after the first sample, shape (N,)
-    # how many of them, from the first on, are the ball's first impacts, one after another
-    right: int
-
-    @property
-    def restitutions(self) -> Array:
-        """Root of the kept energy at the second event, the third, ..., shape (N - 2,)."""
-        flights = np.diff(self.events_s)
-        return flights[1:] / flights[:-1]
-
-
-def events_over(
-    samples: NDArray[np.float32], rate_hz: float, threshold: float, delay_s: float = DELAY_S
-) -> Array:
-    """Return when samples first exceed a threshold [s], shape (N,), six at most."""
+def events_over(samples: NDArray[np.float32], rate_hz: float, threshold: float) -> Array:
+    """Return when samples first exceed a threshold [s], shape (N,), six at most, .1 s apart."""
     over = np.flatnonzero(np.abs(samples) > threshold) / rate_hz
     events: list[float] = []
     at = 0
-    while at < len(over) and len(events) < MAX_EVENTS:
+    while at < len(over) and len(events) < 6:
         events.append(float(over[at]))
-        at = int(np.searchsorted(over, over[at] + delay_s))
+        at = int(np.searchsorted(over, over[at] + 0.1))
     return np.array(events)
 
 
-def reading(clip: SoundClip, threshold: float) -> PhyphoxReading:
-    """Read a clip as the app does."""
-    events = events_over(clip.samples, clip.rate_hz, threshold)
-    right = 0
-    for event, impact in zip(events, clip.impacts_s, strict=False):
-        if not -_EARLY_S <= event - impact <= _LATE_S:
-            break
-        right += 1
-    return PhyphoxReading(threshold, events, right)
+def best_reading(clip: sounds.SoundClip, fewest_events: int = 3) -> float | None:
+    """Return the second impact's restitution at the threshold nearest to the truth, if any.
 
-
-def best_reading(clip: SoundClip, fewest_events: int = 3) -> PhyphoxReading | None:
-    """Read a clip at the threshold nearest to the true restitution; None without any.
-
-    Only thresholds count at which the first events are the ball's first impacts: a user who hears
-    and sees the ball could know that.
-
-    Args:
-        clip: with its truth.
-        fewest_events: that must be the first impacts; 3 give one restitution.
+    Only thresholds count at which the first `fewest_events` events are the ball's first impacts: a
+    user who hears and sees the ball could know that.
     """
     loudest = float(np.max(np.abs(clip.samples)))
-    thresholds = loudest * np.geomspace(_MIN_THRESHOLD, 0.99, _THRESHOLDS)
-    tried = [reading(clip, threshold) for threshold in (*thresholds.tolist(), TYPICAL_THRESHOLD)]
-    good = [one for one in tried if one.right >= fewest_events]
-    truth = clip.restitutions[1]
-    return min(good, key=lambda one: abs(one.restitutions[0] - truth), default=None)
+    # 60 from .3 % of the loudest sample on, and what is set unless a user sets another
+    thresholds = (*(loudest * np.geomspace(0.003, 0.99, 60)).tolist(), 0.1)
+    good: list[float] = []
+    for threshold in thresholds:
+        events = events_over(clip.samples, clip.rate_hz, threshold)
+        both = min(len(events), len(clip.impacts_s))
+        off_s = events[:both] - clip.impacts_s[:both]
+        right = (off_s >= -0.001) & (off_s <= 0.02)  # of the beginning of an impact's sound
+        if len(right) >= fewest_events and right[:fewest_events].all():
+            first, second = np.diff(events[:3])
+            good.append(float(second / first))
+    return min(good, key=lambda one: abs(one - clip.restitutions[1]), default=None)
 
 
 # ---- Sound alone: bounces, by the product and by phyphox's way, and sounds that are no bounce.
 
-
 SNRS_DB = (40.0, 30.0, 20.0, 10.0, 5.0)
-TYPICAL_JITTER_S = 0.0002  # of an onset, where none was heard
 
 
 @dataclass(frozen=True)
@@ -247,32 +186,28 @@ class AloneTrial:
     """Clip to be heard."""
 
     seed: int  # of it
-    number: int  # likewise
+    number: int  # likewise; every second one went through AAC
     snr_db: float  # see `impact_ratio`
     uneven: float = 0.0  # see `BounceOrder`
-
-    def clip(self) -> SoundClip:
-        """Synthesise the clip: every second one through AAC."""
-        codec = "aac" if self.number % 2 else "pcm"
-        return draw_sound(
-            self.seed, self.number, snr_db=self.snr_db, codec=codec, uneven=self.uneven
-        )
 
 
 def alone_rows(trial: AloneTrial) -> list[list[Row]]:
     """Tune a clip, with the ball not named and named, and read it as phyphox does: three rows."""
-    clip = trial.clip()
+    codec = "aac" if trial.number % 2 else "pcm"
+    clip = sounds.draw_sound(
+        trial.seed, trial.number, snr_db=trial.snr_db, codec=codec, uneven=trial.uneven
+    )
     scene = clip.scene
     episode = sound_alone(clip)
     unnamed, times_s = answer_to(episode)
-    named, _ = answer_to(episode, scene.ball.told)
+    named, _ = answer_to(episode, scene.told)
     off = onset_errors_s(times_s, clip.impacts_s)
     jitter_s = float(np.sqrt(np.mean(off**2))) if len(off) > 2 else np.nan
-    usual_s = TYPICAL_JITTER_S if not np.isfinite(jitter_s) else max(jitter_s, 1e-5)
+    usual_s = 0.0002 if not np.isfinite(jitter_s) else max(jitter_s, 1e-5)
     head = {
         "seed": trial.seed,
         "number": trial.number,
-        "what": f"{scene.ball.kind} on {scene.table}",
+        "what": scene.what,
         "background": clip.background,
         "snr_db": trial.snr_db,
         "truth": float(scene.history.by_law[1]),  # at the second impact, by the ball's law
@@ -284,32 +219,29 @@ def alone_rows(trial: AloneTrial) -> list[list[Row]]:
         # least standard deviation of a value from onsets with this jitter
         bound = bound_sd(scene.history, scene.audible, usual_s, named=is_named)
         rows.append({**head, "with": f"ball {which}", "bound": bound, **answer})
-    best = best_reading(clip)
-    value = np.nan if best is None else float(best.restitutions[0])
-    hears_five = best_reading(clip, 5) is not None
+    best, hears_five = best_reading(clip), best_reading(clip, 5) is not None
+    value = np.nan if best is None else best
     rows.append({**head, "with": "phyphox", "value": value, "hears_five": hears_five})
     return [rows]
 
 
-def sound_alone(heard: SoundClip | NoBounce) -> Episode:
+def sound_alone(heard: sounds.SoundClip | sounds.NoBounce) -> Episode:
     """Build a log that holds this sound and nothing else."""
-    return with_sound(Episode(EpisodeInfo(), {}), heard)
+    return sounds.with_sound(Episode(EpisodeInfo(), {}), heard)
 
 
 def negative_rows(case: tuple[int, int]) -> list[list[Row]]:
     """Tune the negative of a seed and a number."""
-    heard = draw_negative(*case)
+    heard = sounds.draw_negative(*case)
     head = {"seed": case[0], "number": case[1], "what": heard.kind, "with": "sound alone"}
     return [[{**head, **answer_to(sound_alone(heard))[0]}]]
 
 
 # ---- Sound beside pictures: videos and tracks with their own sound, another's, or none.
 
-
 FILM_SNR_DB = 20.0
 UNRELATED = ("noise", "speech", "music", "silence")
 _RATE_HZ = 48_000
-_UNRELATED_SEEDS = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -330,9 +262,9 @@ def beside_rows(trial: BesideTrial) -> list[list[Row]]:
     the verdict on it alone.
     """
     if trial.kind == "track":
-        made = track_with_sound(trial.seed, trial.number, FILM_SNR_DB)
+        made = sounds.track_with_sound(trial.seed, trial.number, FILM_SNR_DB)
     else:
-        made = film_with_sound(trial.seed, trial.number, FILM_SNR_DB, uneven=trial.uneven)
+        made = sounds.film_with_sound(trial.seed, trial.number, FILM_SNR_DB, uneven=trial.uneven)
     head: Row = {
         "seed": trial.seed,
         "number": trial.number,
@@ -342,44 +274,44 @@ def beside_rows(trial: BesideTrial) -> list[list[Row]]:
     }
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "film.mp4"
-        if isinstance(made, FilmedSound):
+        if isinstance(made, sounds.FilmedSound):
             made.write(path)
 
         def opened() -> Episode:
-            return read_episode(path) if isinstance(made, FilmedSound) else made.episode()
+            return read_episode(path) if isinstance(made, sounds.FilmedSound) else made.episode()
 
         rows = [
             {**head, "with": "no sound", **answer_to(without_sound(opened()))[0]},
             {**head, "with": "its sound", **answer_to(opened())[0]},
         ]
         lasts_s = made.clip.scene.lasts_s
-        others = [
-            unrelated_sound(what, lasts_s, trial.seed, trial.number) for what in trial.unrelated
-        ]
-        for what, other in zip(trial.unrelated, others, strict=True):
-            answer, _ = answer_to(with_sound(without_sound(opened()), other))
+        others = {
+            what: unrelated_sound(what, lasts_s, trial.seed, trial.number)
+            for what in trial.unrelated
+        }
+        for what, other in others.items():
+            answer, _ = answer_to(sounds.with_sound(without_sound(opened()), other))
             rows.append({**head, "with": what, **answer})
-        for what, other in zip(trial.unrelated, others, strict=True):
+        for what, other in others.items():
             verdict = answer_to(sound_alone(other))[0]["verdict"]
             alone = {"what": "sound alone", "with": what, "truth": None, "verdict": verdict}
             rows.append({**head, **alone})
     return [rows]
 
 
-def unrelated_sound(what: str, lasts_s: float, seed: int, number: int) -> NoBounce:
+def unrelated_sound(what: str, lasts_s: float, seed: int, number: int) -> sounds.NoBounce:
     """Synthesise noise, speech, music or silence as long as a video, through AAC."""
-    rng = np.random.default_rng([_UNRELATED_SEEDS + seed, number, *what.encode()])
+    rng = np.random.default_rng([4_000_000 + seed, number, *what.encode()])
     samples = np.zeros(int(lasts_s * _RATE_HZ))
     if what != "silence":
-        made = background_sound(cast("Background", what), lasts_s, _RATE_HZ, rng)
+        made = sounds.background_sound(cast("sounds.Background", what), lasts_s, _RATE_HZ, rng)
         made = made[: len(samples)]
         samples[: len(made)] = rng.uniform(0.1, 0.9) * made / np.max(np.abs(made))
-    heard = NoBounce(samples.astype(np.float32), _RATE_HZ, "pcm", what)
-    return replace(heard, samples=through_aac(heard.samples, _RATE_HZ), codec="aac")
+    heard = sounds.NoBounce(samples.astype(np.float32), _RATE_HZ, "pcm", what)
+    return replace(heard, samples=sounds.through_aac(heard.samples, _RATE_HZ), codec="aac")
 
 
 # ---- Run: section by section.
-
 
 # Signal-to-noise ratio [dB] of a good sound, or more; unevenness of a ball, see `BounceOrder`.
 GOOD_DB, UNEVEN = 20.0, 0.003
@@ -390,27 +322,18 @@ Trials = list[list[Row]]  # of a section: the rows of each clip, sound, film or 
 def run(order: Order, progress: Progress) -> Iterator[Part]:
     """Run the trials of each section; "alone" and "phyphox" share their clips."""
     pairs = [(seed, at) for seed in order.seeds for at in range(order.targets)]
+    uneven_films = [BesideTrial("film", *one, uneven=UNEVEN) for one in pairs]
+    tracks = [BesideTrial("track", *one, UNRELATED) for one in pairs]
+    # one unrelated sound in turn
+    films = [BesideTrial("film", *one, (UNRELATED[one[1] % len(UNRELATED)],)) for one in pairs]
     # By section: the work, what is asked of it, and its unit.
     work: dict[str, tuple[Callable[[Any], Trials], list[Any], str]] = {
         "alone": (alone_rows, [AloneTrial(*one, snr) for snr in SNRS_DB for one in pairs], "clip"),
         "uneven": (alone_rows, [AloneTrial(*one, GOOD_DB, UNEVEN) for one in pairs], "clip"),
         "negatives": (negative_rows, pairs, "sound"),
-        "films": (
-            beside_rows,
-            # one unrelated sound in turn
-            [BesideTrial("film", *one, (UNRELATED[one[1] % len(UNRELATED)],)) for one in pairs],
-            "film",
-        ),
-        "unrelated": (
-            beside_rows,
-            [BesideTrial("track", *one, UNRELATED) for one in pairs],
-            "track",
-        ),
-        "uneven-films": (
-            beside_rows,
-            [BesideTrial("film", *one, uneven=UNEVEN) for one in pairs],
-            "film",
-        ),
+        "films": (beside_rows, films, "film"),
+        "unrelated": (beside_rows, tracks, "track"),
+        "uneven-films": (beside_rows, uneven_films, "film"),
     }
     found: dict[str, Trials] = {}
     what = f"{order.seeds_in_words}, {order.targets} of each"
@@ -428,7 +351,6 @@ def run(order: Order, progress: Progress) -> Iterator[Part]:
 
 
 # ---- Tables for a terminal.
-
 
 _VERDICTS = ("ok", "suspect", "rejected")
 
@@ -450,7 +372,7 @@ def _alone(trials: Trials) -> list[list[str]]:
             cells = [which, level, str(len(some)), *_rates(answers)]
             if told:
                 mean, median, worst = _errors(told)
-                bound = float(np.mean([row["bound"] for row in told])) * MEAN_OF_SD
+                bound = float(np.mean([row["bound"] for row in told])) * float(np.sqrt(2 / np.pi))
                 jitter_ms = figure([1000 * row["jitter_s"] for row in told], np.median)
                 cells += [f"{mean:.5f}", f"{median:.5f}", f"{worst:.3f}", f"{bound:.5f}"]
                 cells += ["" if jitter_ms is None else f"{jitter_ms:.2f} ms", *_covered(told)]

@@ -59,21 +59,16 @@ class BestVisited(Estimator):
 
 # ---- CMA-ES (Hansen 2016), set up as for the paper's table 2.
 
-_SIGMA = 0.1
-_TOLERANCE = 0.1
-
 
 class CmaEs(Estimator):
-    """pycma on the L2 norm of the misfit, population 10, sigma 0.1, tolfun 0.1.
+    """CMA-ES by pycma on the L2 norm of the misfit: population 10, sigma 0.1, tolfun 0.1.
 
     It needs two parameters: the paper's authors let it look for the height of release as well,
     whose first guess is right. After each generation the answer is the distribution's mean, as they
     read it, and not the best place visited; before the first generation is complete it is the
     initial guess, and a budget's remainder that makes no generation is not spent. A point out of
-    bounds costs what the nearest one within costs.
-
-    The paper's columns for 1, 5 and 10 rollouts are all the value after the first generation.
-
+    bounds costs what the nearest one within costs. The paper's columns for 1, 5 and 10 rollouts are
+    all the value after the first generation.
     """
 
     name = "cma-es"
@@ -90,14 +85,10 @@ class CmaEs(Estimator):
     def _optimize(self, search: Search, problem: Problem) -> None:
         import cma
 
-        options = {
-            "popsize": self._population,
-            "seed": self._seed + 1,  # pycma takes 0 as "by the clock"
-            "tolfun": _TOLERANCE,
-            "verbose": -9,
-            "verb_log": 0,
-        }
-        strategy = cma.CMAEvolutionStrategy(problem.initial, _SIGMA, options)
+        # pycma takes a seed of 0 as "by the clock"
+        options = {"popsize": self._population, "seed": self._seed + 1, "tolfun": 0.1}
+        options |= {"verbose": -9, "verb_log": 0}
+        strategy = cma.CMAEvolutionStrategy(problem.initial, 0.1, options)
         while search.left >= self._population and not strategy.stop():
             points = strategy.ask()
             strategy.tell(points, [search.cost(point) for point in points])
@@ -112,12 +103,12 @@ class Constant(Estimator):
 
     The Mean of the paper's table 2 is given the mean of the test set's targets, which no method
     that has to find them could know.
-
     """
 
-    def __init__(self, value: float, name: str = "mean") -> None:
+    name = "mean"
+
+    def __init__(self, value: float) -> None:
         self._value = value
-        self.name = name
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:  # noqa: ARG002 (needs none)
         """Answer without a rollout; see `Estimator.estimate`."""
@@ -164,7 +155,6 @@ def direct_pairs(pairs: PairSet) -> PairSet:
 # ---- Greedy entropy search (Zhu et al. 2018, algorithm 2), as the TuneNet paper's appendix has it.
 
 _BINS = 50
-_SAMPLES = 100  # functions drawn from the process; both as in the TuneNet paper's appendix
 
 
 class EntropySearch(Estimator):
@@ -189,16 +179,9 @@ class EntropySearch(Estimator):
     name = "entropy-search"
 
     def __init__(
-        self,
-        bins: tuple[float, float],
-        seed: int,
-        patience: int | None = 2,
-        samples: int = _SAMPLES,
+        self, bins: tuple[float, float], seed: int, patience: int | None = 2, samples: int = 100
     ) -> None:
-        self._bins = bins
-        self._seed = seed
-        self._patience = patience
-        self._samples = samples
+        self._bins, self._seed, self._patience, self._samples = bins, seed, patience, samples
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """Search with one rollout a step; see `Estimator.estimate`."""
@@ -214,7 +197,13 @@ class EntropySearch(Estimator):
             search.answer(bins)
             return
         while self._patience is None or unchanged < self._patience:
-            probability = self._smallest(np.array(positions), np.array(errors), bins, rng)
+            process = _fitted(np.array(positions), np.array(errors), float(np.ptp(bins)))
+            mean, covariance = process.predict(bins[:, None], return_cov=True)
+            drawn = rng.multivariate_normal(
+                mean, covariance, self._samples, check_valid="ignore", method="eigh"
+            )
+            smallest = drawn.argmin(axis=1)
+            probability = np.bincount(smallest, minlength=len(bins)) / self._samples
             best = int(np.argmax(probability))
             search.answer(bins[best : best + 1])
             unchanged = unchanged + 1 if best == last else 0
@@ -225,17 +214,6 @@ class EntropySearch(Estimator):
             position = bins[[int(np.argmin(entropy))]]
             positions.append(position)
             errors.append(search.cost(position))
-
-    def _smallest(
-        self, positions: Array, errors: Array, bins: Array, rng: np.random.Generator
-    ) -> Array:
-        """Return P: how often each bin has the minimum of a sampled function, shape (bins,)."""
-        process = _fitted(positions, errors, float(np.ptp(bins)))
-        mean, covariance = process.predict(bins[:, None], return_cov=True)
-        drawn = rng.multivariate_normal(
-            mean, covariance, self._samples, check_valid="ignore", method="eigh"
-        )
-        return np.bincount(drawn.argmin(axis=1), minlength=len(bins)) / self._samples
 
 
 def _fitted(positions: Array, errors: Array, width: float) -> Any:
@@ -263,9 +241,6 @@ def _fitted(positions: Array, errors: Array, width: float) -> Any:
 
 
 # ---- Neural posterior estimation (NPE): a density of the parameter from the target alone.
-
-INTERVAL = (0.025, 0.975)  # quantiles between which a 95 % credible interval lies
-_CELLS = 4000  # of the grid: 1/4000 of the prior's range is far below any posterior's width
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,8 +271,7 @@ class GridDensity:
 
     def interval(self) -> tuple[float, float]:
         """Return the equal-tailed 95 % credible interval."""
-        low, high = (self.quantile(probability) for probability in INTERVAL)
-        return low, high
+        return self.quantile(0.025), self.quantile(0.975)
 
 
 class Posterior(Protocol):
@@ -327,7 +301,8 @@ class NeuralPosterior(Estimator):
 
     def density(self, target: Observation) -> GridDensity:
         """Return the parameter's posterior, given a target whose values have shape (L, 1)."""
-        edges = np.linspace(*self._posterior.bounds, _CELLS + 1)
+        # of the prior's range, 1/4000 is far below any posterior's width
+        edges = np.linspace(*self._posterior.bounds, 4001)
         seen = target.values.ravel()
         return GridDensity.from_logs(edges, self._posterior.log_density(seen, middles(edges)))
 
@@ -344,14 +319,6 @@ def middles(edges: Array) -> Array:
 
 # ---- The bridge to `sbi`, which trains the posterior by its defaults.
 # Its words on standard output and its warnings stay here, and so do its logs for TensorBoard.
-
-_ENDLESS = 2**31 - 1  # the library's own limit: training ends when it no longer helps
-# Passes without improvement, simulations in a step, learning rate, units of a layer. The library's
-# 20, 200, 5e-4 and 50 leave larger errors (chosen on seeds that no table is made of).
-_PATIENCE = 100
-_BATCH = 50
-_RATE = 1e-3
-_HIDDEN = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,10 +394,12 @@ def train_posterior(
         wanted = torch.tensor(values[:, None], dtype=torch.float32)
         inference.append_simulations(wanted, seen)
         network = inference.train(
-            training_batch_size=_BATCH,
-            learning_rate=_RATE,
-            stop_after_epochs=_PATIENCE,
-            max_num_epochs=epochs or _ENDLESS,
+            # The library's 200, 5e-4, 20 passes without improvement and 50 hidden units leave
+            # larger errors (chosen on seeds that no table is made of).
+            training_batch_size=50,
+            learning_rate=1e-3,
+            stop_after_epochs=100,
+            max_num_epochs=epochs or 2**31 - 1,
         )
     weights = {name: one.numpy().copy() for name, one in network.state_dict().items()}
     return SbiPosterior(bounds, observations.shape[1], weights)
@@ -443,7 +412,7 @@ def _builder() -> Any:
     """
     from sbi.neural_nets import posterior_nn
 
-    return posterior_nn("mdn", z_score_x="independent", hidden_features=_HIDDEN)
+    return posterior_nn("mdn", z_score_x="independent", hidden_features=256)
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,19 +24,7 @@ from tunenet_logs.analysis.estimators.base import Observation, Problem
 from tunenet_logs.analysis.estimators.methods import TuneNet
 from tunenet_logs.analysis.evaluation.studies.video import tune_track
 from tunenet_logs.analysis.evaluation.study import STUDIES, Order, Part, Row, figure, scored, table
-from tunenet_logs.analysis.evaluation.worlds.ball import (
-    DRAG_1_M,
-    DROP_M,
-    FILMED_S,
-    GRAVITY_M_S2,
-    HELD_S,
-    MASS_KG,
-    MISHAPS,
-    RADIUS_M,
-    HiddenBall,
-    drop_of,
-    take_shot,
-)
+from tunenet_logs.analysis.evaluation.worlds import ball as hidden
 from tunenet_logs.analysis.evaluation.worlds.camera import HIDDEN_SIZE_PX, drop_view
 from tunenet_logs.analysis.evaluation.worlds.clips import (
     FRAME_HZ,
@@ -68,12 +56,9 @@ from tunenet_logs.terminal import Progress
 
 SAMPLES = 400  # the paper's frames of a drop
 ITERATIONS = 5  # its K: rollouts spent on a target
-_PAIRS = 800  # it learns from so many
 # Drawn evenly for training: those of the hidden balls are within. The paper's .3 to .7 would leave
 # out half of them.
 RESTITUTIONS = (0.4, 0.95)
-# Likewise; ends in a ratio of 4 to 5, as the paper's 4 to 5 m.
-_DROP_HEIGHTS_M = (DROP_M * 8 / 9, DROP_M * 10 / 9)
 
 
 def train_papers(seed: int, order: Order, progress: Progress) -> Model:
@@ -85,16 +70,16 @@ def train_papers(seed: int, order: Order, progress: Progress) -> Model:
     from tunenet_logs.analysis.tunenet.network import train
 
     rng = np.random.default_rng(seed)
-    count = order.pairs or _PAIRS
+    count = order.pairs or 800
     curves, values = [], []
     for _ in range(count):
-        air = _AirDrop(float(rng.uniform(*_DROP_HEIGHTS_M)))
+        air = _AirDrop(float(rng.uniform(hidden.DROP_M * 8 / 9, hidden.DROP_M * 10 / 9)))
         values += rng.uniform(*RESTITUTIONS, 2).tolist()
         simulated, filmed = (air.rollout({RESTITUTION.name: one}) for one in values[-2:])
         own = np.random.default_rng(int(rng.integers(2**62)))
         rows = drop_view(own).image_from_world(filmed.signals[TOPIC].values)[:, 1]
         rows += own.normal(0.0, TRACK_NOISE_PX, SAMPLES)
-        rows[int(FILMED_S * FRAME_HZ) :] = rows[int(FILMED_S * FRAME_HZ) - 1]
+        rows[int(hidden.FILMED_S * FRAME_HZ) :] = rows[int(hidden.FILMED_S * FRAME_HZ) - 1]
         curves += [_heights(simulated).values, rows[:, None] / HIDDEN_SIZE_PX[1]]
     pairs = PairSet(np.array(curves), np.array(values)[:, None], *consecutive_pairs(count))
     recipe = replace(PAPERS_CODE, epochs=order.epochs or PAPERS_CODE.epochs)
@@ -104,14 +89,14 @@ def train_papers(seed: int, order: Order, progress: Progress) -> Model:
 def papers_restitution(model: Model, rows: Array) -> float:
     """Estimate as the paper's policy: K = 5, clipped to [0, 1]; `rows` by `seen_rows`."""
     target = Observation(rows[:, None], _axis(), "time [s]", ("y [picture heights]",))
-    problem = Problem(target, _AirDrop(DROP_M), _heights, np.array([RESTITUTION.initial]))
+    problem = Problem(target, _AirDrop(hidden.DROP_M), _heights, np.array([RESTITUTION.initial]))
     trace = TuneNet(model).estimate(problem, ITERATIONS)
     return float(np.clip(trace.estimate[0], 0.0, 1.0))
 
 
 def seen_rows(track: Track) -> Array:
     """Return the ball's y [picture heights] from the release on, interpolated, shape (400,)."""
-    seconds = track.stamps_ns * 1e-9 - HELD_S
+    seconds = track.stamps_ns * 1e-9 - hidden.HELD_S
     rows = track.places_px[:, 1] / HIDDEN_SIZE_PX[1]
     known = np.isfinite(rows)
     if not known.any():
@@ -132,9 +117,9 @@ class _AirDrop:
     def rollout(self, values: Mapping[str, float]) -> Episode:
         """See `Simulator.rollout`."""
         height_m = self._drop_height_m
-        bounce = Bounce(values[RESTITUTION.name], drag=DRAG_1_M * height_m)
-        fall_s = math.sqrt(2 * height_m / GRAVITY_M_S2)
-        heights_m = RADIUS_M + height_m * bounce.heights(_axis() / fall_s - bounce.fall_time)
+        bounce = Bounce(values[RESTITUTION.name], drag=hidden.DRAG_1_M * height_m)
+        fall_s = math.sqrt(2 * height_m / hidden.GRAVITY_M_S2)
+        heights_m = hidden.RADIUS_M + height_m * bounce.heights(_axis() / fall_s - bounce.fall_time)
         positions_m = np.column_stack([np.zeros((SAMPLES, 2)), heights_m])
         stamps_ns = np.round(_axis() * 1e9).astype(np.int64)
         ball = Signal(TOPIC, stamps_ns, positions_m, ("x", "y", "z"), "m")
@@ -142,7 +127,7 @@ class _AirDrop:
 
 
 def _heights(episode: Episode) -> Observation:
-    heights = episode.signals[TOPIC].values[:, 2] / DROP_M
+    heights = episode.signals[TOPIC].values[:, 2] / hidden.DROP_M
     return Observation(heights[:, None].copy(), _axis(), "time [s]", ("z [drop heights]",))
 
 
@@ -154,8 +139,6 @@ def _axis() -> Array:
 # ---- Campaigns: trials are drawn, both policies shoot, logs and outcomes are kept.
 
 TRIALS = 60
-LEAVING = 22  # of 60 first drops 22 leave the table or the picture, as in the paper
-MAX_DROPS = 4  # a trial's, of our policy: the first one and three more
 # Restitution at 3 m/s.
 BALLS = {
     "red gel": 0.79,
@@ -166,10 +149,6 @@ BALLS = {
     "super": 0.84,
 }
 
-_SLOPES = (0.03, 0.12)  # p of e ~ v^-p, drawn evenly for each ball
-_OFF_ROUND = 2  # so many of the six balls are out of round
-_OFF_ROUND_DEG = 2.0  # standard deviation of their impacts' normals
-
 
 @dataclass(frozen=True)
 class Trial:
@@ -177,38 +156,27 @@ class Trial:
 
     seed: int  # of the campaign
     number: int  # of the trial in it, from 0
-    ball: HiddenBall  # what is dropped and shot
+    ball: hidden.HiddenBall  # what is dropped and shot
     attempt: int  # number of the trial among those with this ball, from 1
     mishap: str | None  # of its first drop
     leaving: float  # chance of a further drop to have one
 
 
-@dataclass(frozen=True)
-class Taken:
-    """One shot."""
-
-    restitution: float  # that it was planned with
-    height_m: float  # from which the ball was let go
-    success: bool  # through the hoop
-    # from the hoop's centre, negative where it was short of it; None where the ball never came down
-    # at the hoop's height
-    miss_m: float | None
-    exact_miss_m: float | None  # of the same shot without error of release
-    plan_s: float  # how long planning took
-
-
 def draw_trials(seed: int, count: int = TRIALS) -> tuple[Trial, ...]:
-    """Draw the trials of a campaign, ball after ball; 22 of 60 first drops leave the table."""
+    """Draw the trials of a campaign, ball after ball, two of the six out of round.
+
+    22 of 60 first drops leave the table or the picture, as in the paper.
+    """
     rng = np.random.default_rng([seed, 0xB0CE])
-    off_round = set(rng.permutation(len(BALLS))[:_OFF_ROUND].tolist())
+    off_round = set(rng.permutation(len(BALLS))[:2].tolist())
     balls = [
-        HiddenBall(
-            *(name, restitution, float(rng.uniform(*_SLOPES))),
-            off_round_deg=_OFF_ROUND_DEG if index in off_round else 0.0,
+        hidden.HiddenBall(
+            *(name, restitution, float(rng.uniform(0.03, 0.12))),
+            off_round_deg=2.0 if index in off_round else 0.0,
         )
         for index, (name, restitution) in enumerate(BALLS.items())
     ]
-    leaving = round(count * LEAVING / TRIALS)
+    leaving = round(count * 22 / TRIALS)
     leaves = rng.permutation(count) < leaving
     which = [number * len(balls) // count for number in range(count)]
     return tuple(
@@ -217,7 +185,7 @@ def draw_trials(seed: int, count: int = TRIALS) -> tuple[Trial, ...]:
             number=number,
             ball=balls[own],
             attempt=1 + which[:number].count(own),
-            mishap=str(rng.choice(MISHAPS)) if leaves[number] else None,
+            mishap=str(rng.choice(hidden.MISHAPS)) if leaves[number] else None,
             leaving=leaving / count,
         )
         for number, own in enumerate(which)
@@ -242,12 +210,12 @@ def _trial(trial: Trial, model: Model, folder: Path) -> Row:
     rig = ShotRig()
     rng = np.random.default_rng([trial.seed, trial.number, 0xD0])
     verdicts: list[str] = []
-    papers: Taken | None = None
+    papers: Row | None = None
     chosen: Path | None = None
     mishap = trial.mishap
     log_name = f"drop_{trial.number + 1:03d}"  # and the number of the drop, from 1
-    for number in range(1, MAX_DROPS + 1):
-        film = film_of(drop_of(trial.ball, mishap, rng), rng)
+    for number in range(1, 5):  # the first and three more
+        film = film_of(hidden.drop_of(trial.ball, mishap, rng), rng)
         if papers is None:
             restitution = papers_restitution(model, seen_rows(track_of(film)))
             plan = plan_shot(rig, told_ball(restitution))
@@ -261,7 +229,7 @@ def _trial(trial: Trial, model: Model, folder: Path) -> Row:
             chosen = path
         if tuning.verdict == "ok":
             break
-        mishap = str(rng.choice(MISHAPS)) if rng.random() < trial.leaving else None
+        mishap = str(rng.choice(hidden.MISHAPS)) if rng.random() < trial.leaving else None
     assert papers is not None
     ours, truth = None, None
     if chosen is not None:
@@ -270,8 +238,6 @@ def _trial(trial: Trial, model: Model, folder: Path) -> Row:
         ours = _take(trial, plan, rig, float(plan.ball.law.at(np.array(speed))))
         truth = trial.ball.restitution_at(speed)
     write_outcome(folder, outcome_of(trial, ours, chosen, f"{log_name}_{len(verdicts)}.mcap"))
-    names = ("restitution", "height_m", "miss_m", "exact_miss_m", "plan_s")
-    own = {name: None if ours is None else getattr(ours, name) for name in names}
     return {
         "seed": trial.seed,
         "trial": trial.number + 1,
@@ -283,67 +249,70 @@ def _trial(trial: Trial, model: Model, folder: Path) -> Row:
         "first_drop": trial.mishap or ON_TABLE,
         "drops": len(verdicts),
         "verdicts": " ".join(verdicts),
-        "papers_restitution": papers.restitution,
-        "papers_height_m": papers.height_m,
-        "papers_success": papers.success,
+        **{f"papers_{name}": papers[name] for name in ("restitution", "height_m", "success")},
         "truth_at_shot": truth,  # restitution of the ball at the speed of our shot's impact
-        **own,  # None where the trial was abandoned
-        "success": ours is not None and ours.success,
+        # None where the trial was abandoned
+        **(ours or {**dict.fromkeys(papers), "success": False}),
     }
 
 
 ON_TABLE = "on the table"
 
 
-def _take(trial: Trial, plan: Plan, rig: ShotRig, restitution: float) -> Taken:
+def _take(trial: Trial, plan: Plan, rig: ShotRig, restitution: float) -> Row:
     """Take a shot with the trial's luck, the same for both policies."""
     index = plan.nearest if plan.best is None else plan.best.index
     height_m = float(plan.heights_m[index])
     luck = [trial.seed, trial.number, 0x50]
-    shot = take_shot(trial.ball, rig, height_m, np.random.default_rng(luck))
-    exact = take_shot(trial.ball, rig, height_m, np.random.default_rng(luck), errs=False)
-    misses = shot.miss_m, exact.miss_m
-    return Taken(restitution, height_m, shot.is_through, *misses, plan.seconds)
+    shot = hidden.take_shot(trial.ball, rig, height_m, np.random.default_rng(luck))
+    exact = hidden.take_shot(trial.ball, rig, height_m, np.random.default_rng(luck), errs=False)
+    return {
+        "restitution": restitution,  # that it was planned with
+        "height_m": height_m,  # from which the ball was let go
+        # from the hoop's centre, negative where it was short of it; None where the ball never came
+        # down at the hoop's height
+        "miss_m": shot.miss_m,
+        "exact_miss_m": exact.miss_m,  # of the same shot without error of release
+        "plan_s": plan.seconds,  # how long planning took
+        "success": shot.is_through,
+    }
 
 
-def outcome_of(trial: Trial, ours: Taken | None, chosen: Path | None, last: str) -> Outcome:
+def outcome_of(trial: Trial, ours: Row | None, chosen: Path | None, last: str) -> Outcome:
     """Build the outcome to record: the drop that the shot was planned with, or the last tried."""
-    reason = "" if ours is not None else "abandoned: no drop could be tuned"
-    if ours is not None and not ours.success:
-        reason = "missed the hoop"
+    shot = ours or {**dict.fromkeys(("height_m", "miss_m", "restitution")), "success": False}
+    missed = "missed the hoop" if ours else "abandoned: no drop could be tuned"
     return Outcome(
         task=BOUNCE_SHOT,
         ball=trial.ball.name,
         attempt=trial.attempt,
-        success=ours is not None and ours.success,
+        success=shot["success"],
         stamp_ns=time.time_ns(),
-        shot_height_m=None if ours is None else ours.height_m,
-        miss_m=None if ours is None else ours.miss_m,
-        tuned_parameter=None if ours is None else ours.restitution,
+        shot_height_m=shot["height_m"],
+        miss_m=shot["miss_m"],
+        tuned_parameter=shot["restitution"],
         drop_log=last if chosen is None else chosen.name,
         tuning="" if chosen is None else chosen.with_suffix(".json").name,
-        reason=reason,
+        reason="" if shot["success"] else missed,
     )
 
 
 # ---- Acceptance: verdicts of `tunenet-tune` on bad and good drops, on tracks without pictures.
 
-DROPS = 500  # of each kind: a fraction of 1 % has a standard error of .45 %
 VERDICTS = ("ok", "suspect", "rejected")
-_WRONG = 0.02  # of restitution: such an error uses up about what the hoop leaves a shot
 
 
-def judged_drops(case: tuple[int, range, bool]) -> list[Row]:
+def judged_drops(case: tuple[bool, int, range]) -> list[Row]:
     """Tune drops of a seed that leave the table, or that do not."""
-    seed, numbers, is_good = case
-    options = TuneOptions(ball=Ball(2 * RADIUS_M, MASS_KG))
+    is_good, seed, numbers = case
+    options = TuneOptions(ball=Ball(2 * hidden.RADIUS_M, hidden.MASS_KG))
     rows: list[Row] = []
     for number in numbers:
         rng = np.random.default_rng([seed, number, int(is_good), 0xACC])
         balls = draw_trials(seed + number // 60)
         ball = balls[int(rng.integers(len(balls)))].ball
-        mishap = None if is_good else MISHAPS[number % len(MISHAPS)]
-        drop = drop_of(ball, mishap, rng)
+        mishap = None if is_good else hidden.MISHAPS[number % len(hidden.MISHAPS)]
+        drop = hidden.drop_of(ball, mishap, rng)
         tuning = tune_track(track_of(film_of(drop, rng)), options)
         off = None  # estimate less truth at the first impact's speed
         if tuning.estimate is not None:
@@ -357,7 +326,7 @@ def acceptance_rows(bad: Sequence[Row], good: Sequence[Row]) -> list[Row]:
     """Return fractions of all that leave the table, of each kind, and of the good ones."""
     kinds = {
         "off the table": list(bad),
-        **{f"  {name}": [one for one in bad if one["mishap"] == name] for name in MISHAPS},
+        **{f"  {name}": [one for one in bad if one["mishap"] == name] for name in hidden.MISHAPS},
         "good": list(good),
         "  round balls": [one for one in good if one["is_round"]],
         "  balls out of round": [one for one in good if not one["is_round"]],
@@ -369,7 +338,8 @@ def acceptance_rows(bad: Sequence[Row], good: Sequence[Row]) -> list[Row]:
             **{name: figure([one["verdict"] == name for one in drops]) for name in VERDICTS},
             # ok and off by more than `_WRONG`
             "wrong": figure(
-                [one["verdict"] == "ok" and abs(one["off"] or 0.0) > _WRONG for one in drops]
+                # of restitution: such an error uses up about what the hoop leaves a shot
+                [one["verdict"] == "ok" and abs(one["off"] or 0.0) > 0.02 for one in drops]
             ),
         }
         for label, drops in kinds.items()
@@ -396,12 +366,11 @@ def run(order: Order, progress: Progress) -> Iterator[Part]:
         rates = [{"name": name, **rate} for name, rate in success_rates(trials).items()]
         yield Part("campaigns", campaign_table(trials), trials, {"shares": rates})
     if "drops" in order.sections:
-        count = math.ceil(DROPS * min(order.targets / STUDIES["bounce-shot"].targets, 1.0))
-        portions = [range(at, min(at + 5, count)) for at in range(0, count, 5)]
+        # of each kind 500: a fraction of 1 % has a standard error of .45 %
+        count = math.ceil(500 * min(order.targets / STUDIES["bounce-shot"].targets, 1.0))
+        first = replace(order, seeds=order.seeds[:1])
         drops = {
-            name: [
-                Piece((order.seeds[0], some, name == "good"), len(some), name) for some in portions
-            ]
+            name: first.pieces(5, name == "good", targets=count, name=name)
             for name in ("bad", "good")
         }
         judged = scored(judged_drops, drops, order, progress, ("drops", "drop"))
@@ -414,58 +383,46 @@ def run(order: Order, progress: Progress) -> Iterator[Part]:
 
 def success_rates(trials: Sequence[Row]) -> dict[str, Row]:
     """Count shots through the hoop, by policy and trials; the paper's third experiment beside."""
-
-    def rate(policy: str, is_chosen: Callable[[Row], bool] = lambda _: True) -> Row:
-        chosen = [one for one in trials if is_chosen(one)]
-        return {"count": sum(one[policy] for one in chosen), "of": len(chosen)}
-
-    def stays(one: Row) -> bool:
-        return one["first_drop"] == ON_TABLE
-
-    return {
-        "paper's, all": rate("papers_success"),
-        "paper's, on the table": rate("papers_success", stays),
-        "paper's, off the table": rate("papers_success", lambda one: not stays(one)),
-        "ours, all": rate("success"),
-        "ours, on the table, round": rate("success", lambda one: stays(one) and one["round"]),
-        "ours, on the table": rate("success", stays),
-        "ours, first drop off the table": rate("success", lambda one: not stays(one)),
-        "ours, round": rate("success", lambda one: one["round"]),
-        "ours, out of round": rate("success", lambda one: not one["round"]),
+    stays = [one for one in trials if one["first_drop"] == ON_TABLE]
+    leaves = [one for one in trials if one["first_drop"] != ON_TABLE]
+    counted = {
+        "paper's, all": ("papers_success", trials),
+        "paper's, on the table": ("papers_success", stays),
+        "paper's, off the table": ("papers_success", leaves),
+        "ours, all": ("success", trials),
+        "ours, on the table, round": ("success", [one for one in stays if one["round"]]),
+        "ours, on the table": ("success", stays),
+        "ours, first drop off the table": ("success", leaves),
+        "ours, round": ("success", [one for one in trials if one["round"]]),
+        "ours, out of round": ("success", [one for one in trials if not one["round"]]),
     }
-
-
-_PUBLISHED = {
-    "paper's, all": "62 %",
-    "paper's, on the table": "87 %",
-    "paper's, off the table": "18 %",
-}
+    return {
+        name: {"count": sum(one[policy] for one in chosen), "of": len(chosen)}
+        for name, (policy, chosen) in counted.items()
+    }
 
 
 def campaign_table(trials: Sequence[Row]) -> str:
     """Tabulate success rates of both policies by seed and over all, then further figures."""
     seeds = sorted({one["seed"] for one in trials})
-    by_seed = [success_rates([one for one in trials if one["seed"] == seed]) for seed in seeds]
+    groups = [[one for one in trials if one["seed"] == seed] for seed in seeds]
+    rates = [success_rates(some) for some in (*groups, trials)]
+    papers = dict(zip(rates[-1], ("62 %", "87 %", "18 %"), strict=False))
     lines = [["shots through the hoop", *(f"seed {seed}" for seed in seeds), "all", "paper"]]
-    for name, rate in success_rates(trials).items():
-        cells = [_percent(one[name]) for one in by_seed]
-        words = f"{_percent(rate)} ({rate['count']} of {rate['of']})" if rate["of"] else "-"
-        lines.append([name, *cells, words, _PUBLISHED.get(name, "")])
-    title = f"Bounce shots in the hidden world, {len(trials)} trials.\n"
-    return "\n".join([table(lines, title), "", *_further(trials)])
-
-
-def _percent(rate: Row) -> str:
-    return f"{100 * rate['count'] / rate['of']:.0f} %" if rate["of"] else "-"
-
-
-def _further(trials: Sequence[Row]) -> Iterator[str]:
+    for name, whole in rates[-1].items():
+        cells = [
+            f"{100 * one[name]['count'] / one[name]['of']:.0f} %" if one[name]["of"] else "-"
+            for one in rates
+        ]
+        if whole["of"]:
+            cells[-1] += f" ({whole['count']} of {whole['of']})"
+        lines.append([name, *cells, papers.get(name, "")])
     ours = [one for one in trials if one["restitution"] is not None]
-    round_balls = [one for one in ours if one["round"]]
-    yield (
+    further = [
         f"ours: {np.mean([one['drops'] for one in trials]):.2f} drops a trial, "
         f"{len(trials) - len(ours)} of {len(trials)} abandoned"
-    )
+    ]
+    round_balls = [one for one in ours if one["round"]]
     if round_balls:
         free_m = ShotRig().hoop.free_radius_m
         # infinite where the ball never came down at the hoop's height
@@ -474,16 +431,17 @@ def _further(trials: Sequence[Row]) -> Iterator[str]:
             for one in round_balls
         ]
         off = [abs(one["restitution"] - one["truth_at_shot"]) for one in round_balls]
-        yield (
+        further += [
             f"round balls, no release error: misses of {np.median(misses):.3f} of the hoop's free "
-            f"radius (median), {np.quantile(misses, 0.95):.3f} (95 %)"
-        )
-        yield (
+            f"radius (median), {np.quantile(misses, 0.95):.3f} (95 %)",
             f"round balls: restitution at the shot's impact off by {np.median(off):.4f} (median), "
-            f"{np.quantile(off, 0.95):.4f} (95 %)"
-        )
+            f"{np.quantile(off, 0.95):.4f} (95 %)",
+        ]
     if ours:
-        yield f"a plan of 100 shots: {np.median([one['plan_s'] for one in ours]):.2f} s (median)"
+        plan_s = np.median([one["plan_s"] for one in ours])
+        further.append(f"a plan of 100 shots: {plan_s:.2f} s (median)")
+    title = f"Bounce shots in the hidden world, {len(trials)} trials.\n"
+    return "\n".join([table(lines, title), "", *further])
 
 
 def acceptance_table(rows: Sequence[Row]) -> str:

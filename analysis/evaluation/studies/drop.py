@@ -6,34 +6,37 @@ Every method of `drop_methods` runs on the same targets, rollout by rollout.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tunenet_logs.analysis.evaluation.studies import intervals
-from tunenet_logs.analysis.evaluation.studies.curves import write_figure
 from tunenet_logs.analysis.evaluation.studies.drop_methods import (
+    FLOOR,
     GIVEN_NOTE,
+    MAX_ROLLOUTS,
     NPE,
+    PANELS,
     TARGET_SETS,
     Cell,
     DropResults,
-    DropTarget,
     Group,
     Method,
     MethodErrors,
     Posteriors,
-    Table,
+    Simulator,
     TargetBatch,
     TargetSet,
     choose_methods,
     credible_coverage,
     draw_targets,
+    error_curves,
     errors_of,
     train_networks,
     train_posteriors,
 )
+from tunenet_logs.analysis.evaluation.studies.positions import intervals, with_error
 from tunenet_logs.analysis.evaluation.study import (
     NEGLIGIBLE,
     Order,
@@ -46,46 +49,15 @@ from tunenet_logs.analysis.evaluation.study import (
 from tunenet_logs.analysis.parallel import Piece
 from tunenet_logs.analysis.registry import needed
 from tunenet_logs.errors import UsageError
-from tunenet_logs.recorders.simulators.base import CALIBRATED, PAPER, ContactSettings
+from tunenet_logs.recorders.simulators.base import CALIBRATED, PAPER
 from tunenet_logs.terminal import Progress
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # ---- Run: every method on the same targets, rollout by rollout.
 
-
 NOISE_M = 0.01  # standard deviation of a height in the noisy cells [m]: what a good tracker leaves
-# Rollouts a target, by whose a method is; as in the paper's table 2.
-_MAX_PAPER: Mapping[Group, int] = {"paper": 100, "user": 100, "ours": 100}
-
-# A rollout takes 3 ms there, and three of a user's methods go on for as long as they may.
-_MAX_CALIBRATED: Mapping[Group, int] = {"user": 40, "ours": 100}
-
-_MAX_NOISY: Mapping[Group, int] = {"paper": 10, "user": 10, "ours": 40}
-# Fewer where the paper has no figure beside which they would stand.
-_MAX_ABLATION: Mapping[Group, int] = {"paper": 10}
-
-_BATCH = 5  # targets in a batch: few, so that the processes end together
-
-
-@dataclass(frozen=True)
-class _EmptyCell:
-    """Cell before it is filled."""
-
-    cell: Cell
-    table: Table
-    which: TargetSet
-    contact: ContactSettings
-    most: Mapping[Group, int]  # rollouts that a method is allowed there, by whose it is
-
-    def batches(
-        self, method: Method, targets: Sequence[DropTarget], rollouts: int | None
-    ) -> list[TargetBatch]:
-        """Split a method's work on the targets; `rollouts` as in `Order`."""
-        most = min(method.budget, self.most[method.group])
-        most = most if rollouts is None else min(most, rollouts)
-        return [
-            TargetBatch(method, tuple(targets[at : at + _BATCH]), self.contact, most)
-            for at in range(0, len(targets), _BATCH)
-        ]
 
 
 def run(order: Order, progress: Progress) -> Iterator[Part]:
@@ -107,18 +79,19 @@ def run(order: Order, progress: Progress) -> Iterator[Part]:
         write_convergence(results, drop_markdown(results), path)
 
     def write_png(path: Path, made: str) -> None:
-        write_figure(results, path, made)
+        # for a page's width, with the mark by which it is known
+        figure = draw_figure(results)
+        figure.savefig(path, format="png", dpi=120, metadata={"Software": made})
 
     more: dict[str, Sequence[Row]] = {}
     more |= {"summary": summary_rows(results), "curves": curve_rows(results)}
     more |= {"credible": results.credible} if results.credible else {}
     text = drop_tables(results)
     if order.methods is None:
-        (held,) = intervals.run(order, progress)
+        (held,) = intervals(order, progress)
         more["intervals"] = held.rows
         text += f"\n\n{held.text}"
-    writers = {"png": write_png, "rrd": write_rrd}
-    yield Part("", text, drop_rows(results), more, writers)
+    yield Part("", text, drop_rows(results), more, {"png": write_png, "rrd": write_rrd})
 
 
 def run_drop(order: Order, progress: Progress) -> DropResults:
@@ -136,25 +109,27 @@ def run_drop(order: Order, progress: Progress) -> DropResults:
         posteriors = train_posteriors((0.0, NOISE_M), order, progress)
     columns: list[tuple[Cell, Method]] = []
     cases: dict[int, list[Piece[TargetBatch]]] = {}  # by the number of the column
-    for empty in _empty_cells():
-        cell = empty.cell
-        drawn = {
-            seed: draw_targets(empty.which, order.targets, seed, cell.noise_m)
-            for seed in order.seeds
-        }
+    for cell, which, allowed in _cells():
+        contact = CALIBRATED if cell.simulator == "calibrated" else PAPER
+        drawn = [draw_targets(which, order.targets, seed, cell.noise_m) for seed in order.seeds]
         methods = [
             chosen.methods(
-                *(empty.table, networks[seed]),
-                np.array([target.truth for target in drawn[seed]]),
+                "ablation" if cell.experiment == "ablation" else cell.simulator,
+                networks[seed],
+                np.array([target.truth for target in targets]),
                 *(seed, posteriors.get((seed, cell.noise_m))),
             )
-            for seed in order.seeds
+            for seed, targets in zip(order.seeds, drawn, strict=True)
         ]
         for column in zip(*methods, strict=True):  # one method, made anew for each seed
+            most = min(column[0].budget, allowed[column[0].group], order.rollouts or MAX_ROLLOUTS)
+            batches = [
+                TargetBatch(method, tuple(targets[at : at + 5]), contact, most)
+                for method, targets in zip(column, drawn, strict=True)
+                for at in range(0, len(targets), 5)
+            ]
             cases[len(columns)] = [
-                Piece(batch, len(batch.targets), batch.method.name)
-                for method, targets in zip(column, drawn.values(), strict=True)
-                for batch in empty.batches(method, targets, order.rollouts)
+                Piece(batch, len(batch.targets), batch.method.name) for batch in batches
             ]
             columns.append((cell, column[0]))
     done = scored(errors_of, cases, order, progress, ("estimating", "target"))
@@ -174,19 +149,21 @@ def run_drop(order: Order, progress: Progress) -> DropResults:
     return DropResults(order.seeds, order.targets, outcomes, credible, order.rollouts)
 
 
-def _empty_cells() -> list[_EmptyCell]:
-    cells = []
-    simulators: tuple[tuple[Table, ContactSettings, Mapping[Group, int]], ...]
-    simulators = (("paper", PAPER, _MAX_PAPER), ("calibrated", CALIBRATED, _MAX_CALIBRATED))
-    for name, contact, most_clean in simulators:
-        for noise_m, most in ((0.0, most_clean), (NOISE_M, _MAX_NOISY)):
-            for which in TARGET_SETS:
-                cell = Cell("drop", name, which.name, noise_m)
-                cells.append(_EmptyCell(cell, name, which, contact, most))
-    for which in TARGET_SETS[:2]:
-        cell = Cell("ablation", "paper", which.name, 0.0)
-        cells.append(_EmptyCell(cell, "ablation", which, PAPER, _MAX_ABLATION))
-    return cells
+def _cells() -> Iterator[tuple[Cell, TargetSet, Mapping[Group, int]]]:
+    """Yield each cell, its targets, and the rollouts that a method may spend, by whose it is."""
+    clean: dict[Simulator, Mapping[Group, int]] = {
+        "paper": {"paper": 100, "user": 100, "ours": 100},
+        # a rollout takes 3 ms there, and three of a user's methods go on for as long as they may
+        "calibrated": {"user": 40, "ours": 100},
+    }
+    for simulator, most in clean.items():
+        for which in TARGET_SETS:
+            yield Cell("drop", simulator, which.name, 0.0), which, most
+        for which in TARGET_SETS:
+            allowed: Mapping[Group, int] = {"paper": 10, "user": 10, "ours": 40}
+            yield Cell("drop", simulator, which.name, NOISE_M), which, allowed
+    for which in TARGET_SETS[:2]:  # fewer where the paper has no figure to stand beside
+        yield Cell("ablation", "paper", which.name, 0.0), which, {"paper": 10}
 
 
 # ---- Rows of files: in long form, one for each method, budget and seed of each cell.
@@ -229,22 +206,24 @@ def curve_rows(results: DropResults) -> list[Row]:
 
 # ---- Tables for a terminal, and in Markdown for reviews.
 
-
-_SPREAD = "median [best–worst seed]"
-_SPREADS_A_LINE = 3  # budgets whose spreads stand side by side: more would be wider than a terminal
-_AHEAD_AT = (5, 10)  # rollouts at which methods are ranked: two of the paper's K
 _OUR_METHOD = "ours"  # the one method that stands for ours; named here, not picked by its errors
 
 
 def drop_tables(results: DropResults) -> str:
     """Tabulate every cell, the ranking, and the ablation."""
-    blocks = [_protocol(results)]
-    compared = [cell for cell in results.cells if cell.experiment == "drop"]
-    blocks += [_cell_table(cell, results) for cell in compared]
-    if compared:
-        blocks.append(_ahead(results, compared))
-    ablation = [cell for cell in results.cells if cell.experiment == "ablation"]
-    blocks += [_cell_table(cell, results) for cell in ablation]
+    given = any(outcome.is_given_truths for outcome in results.outcomes)
+    protocol = (
+        f"Mean absolute error of the restitution after K rollouts; "
+        f"{Order(results.seeds, 0).seeds_in_words}, {results.targets} targets each.\n"
+        "In brackets: the paper's. [best–worst seed]: lowest and highest of the seeds' means.\n"
+        "A dash: not run that far." + f"\n{GIVEN_NOTE}" * given
+    )
+    compared, ablation = (
+        [cell for cell in results.cells if (cell.experiment == "drop") == is_drop]
+        for is_drop in (True, False)
+    )
+    blocks = [protocol, *(_cell_table(cell, results) for cell in compared)]
+    blocks += [_ahead(results, compared), *(_cell_table(cell, results) for cell in ablation)]
     if results.credible:
         blocks.append(credible_table(results.credible))
     return "\n\n".join(filter(None, blocks))
@@ -258,28 +237,20 @@ def title(cell: Cell) -> str:
     return f"{what}{cell.which}, {simulator}{noise}"
 
 
-def _protocol(results: DropResults) -> str:
-    given = any(outcome.is_given_truths for outcome in results.outcomes)
-    return (
-        f"Mean absolute error of the restitution after K rollouts; "
-        f"{Order(results.seeds, 0).seeds_in_words}, {results.targets} targets each.\n"
-        "In brackets: the paper's. [best–worst seed]: lowest and highest of the seeds' means.\n"
-        "A dash: not run that far." + f"\n{GIVEN_NOTE}" * given
-    )
-
-
 def _cell_table(cell: Cell, results: DropResults) -> str:
     """Tabulate means beside the paper's, and below the medians and the spread over seeds."""
     outcomes = results.of(cell)
     shown = _shown_columns(results, outcomes)
-    lines = [["mean error", *(f"K={n}" for n in shown)]]
-    lines += [[one.shown, *(_mean(one, n) for n in shown)] for one in outcomes]
-    tables = [table(lines, title(cell))]
-    for first in range(0, len(shown), _SPREADS_A_LINE):
-        spread_at = shown[first : first + _SPREADS_A_LINE]
-        lines = [[_SPREAD, *(f"K={n}" for n in spread_at)]]
-        lines += [[one.shown, *(_spread(one, n) for n in spread_at)] for one in outcomes]
-        tables.append(table(lines))
+    tables: list[str] = []
+    # three spreads a line: more would be wider than a terminal
+    parts = [("mean error", _mean, shown, title(cell))]
+    parts += [
+        ("median [best–worst seed]", _spread, shown[first : first + 3], "")
+        for first in range(0, len(shown), 3)
+    ]
+    for head, figure, budgets, words in parts:
+        lines = [[one.shown, *(figure(one, n) for n in budgets)] for one in outcomes]
+        tables.append(table([[head, *(f"K={n}" for n in budgets)], *lines], words))
     return "\n".join(tables)
 
 
@@ -310,59 +281,46 @@ def credible_table(rows: Sequence[Row]) -> str:
     lines = [["95 % credible intervals of the neural posterior", "targets", "held", "width"]]
     for row in rows:
         cell = Cell(row["experiment"], row["simulator"], row["set"], row["noise_m"])
-        held = intervals.with_error(row["held"], row["held_se"])
+        held = with_error(row["held"], row["held_se"])
         lines.append([title(cell), str(row["targets"]), held, short(row["width"])])
     return table(lines)
 
 
 def _ahead(results: DropResults, cells: Iterable[Cell]) -> str:
     """Rank the methods in each cell, compare ours at 5 rollouts, and name each worst seed."""
-    budgets = [n for n in _AHEAD_AT if n in results.columns]
-    lines = []
+    budgets = [n for n in (5, 10) if n in results.columns]  # two of the paper's K
+    lines: list[str] = []
     for cell in cells:
-        ranked = [one for one in results.of(cell) if _is_ranked(one)]
+        # of ours the one named in advance, of others those that know nothing of the targets
+        ranked = [
+            one
+            for one in results.of(cell)
+            if not one.is_given_truths and (one.group != "ours" or one.method == _OUR_METHOD)
+        ]
         if not ranked or not budgets:
             continue
         lines.append(f"  {title(cell)}")
         for n in budgets:
             best = _best(ranked, n)
-            if best is not None:
-                mean = short(best.figures(n).mae)
-                lines.append(f"    at {n:>2}: {best.label}, {mean}{_worst(best, n, results)}")
-        lines += _ours_against_others(ranked, budgets)
+            if best is None:
+                continue
+            lines.append(f"    at {n:>2}: {best.label}, {short(best.figures(n).mae)}")
+            if len(results.seeds) > 1:
+                means = best.errors_after(n).mean(axis=1)
+                worst = int(means.argmax())
+                error = short(float(means[worst]))
+                lines[-1] += f" (worst: seed {results.seeds[worst]}, {error})"
+        at = budgets[0]
+        ours = _best([one for one in ranked if one.method == _OUR_METHOD], at)
+        for n in budgets if ours is not None else []:
+            best = _best([one for one in ranked if one.method != _OUR_METHOD], n)
+            if ours is not None and best is not None:
+                mine, theirs = ours.figures(at).mae, best.figures(n).mae
+                lines.append(
+                    f"    {ours.label} at {at} ({short(mine)}): {factor(mine, theirs)} "
+                    f"{best.label} at {n} ({short(theirs)})"
+                )
     return "\n".join(["Who is ahead", *lines]) if lines else ""
-
-
-def _is_ranked(one: MethodErrors) -> bool:
-    """Check whether it is ranked: of ours the one named in advance, of others the blind ones."""
-    return not one.is_given_truths and (one.group != "ours" or one.method == _OUR_METHOD)
-
-
-def _worst(one: MethodErrors, rollouts: int, results: DropResults) -> str:
-    """Name the worst of several seeds and its mean error."""
-    if len(results.seeds) == 1:
-        return ""
-    means = one.errors_after(rollouts).mean(axis=1)
-    worst = int(means.argmax())
-    return f" (worst: seed {results.seeds[worst]}, {short(float(means[worst]))})"
-
-
-def _ours_against_others(ranked: Sequence[MethodErrors], budgets: Sequence[int]) -> list[str]:
-    at = budgets[0]
-    ours = _best([one for one in ranked if one.method == _OUR_METHOD], at)
-    if ours is None:
-        return []
-    mine = ours.figures(at).mae
-    lines = []
-    for n in budgets:
-        best = _best([one for one in ranked if one.method != _OUR_METHOD], n)
-        if best is not None:
-            theirs = best.figures(n).mae
-            lines.append(
-                f"    {ours.label} at {at} ({short(mine)}): {factor(mine, theirs)} "
-                f"{best.label} at {n} ({short(theirs)})"
-            )
-    return lines
 
 
 def factor(mine: float, theirs: float) -> str:
@@ -383,25 +341,62 @@ def _best(outcomes: Iterable[MethodErrors], rollouts: int) -> MethodErrors | Non
 def drop_markdown(results: DropResults) -> str:
     """Format Markdown, a table a cell: mean absolute error after K rollouts (the paper's)."""
     seeds = ", ".join(str(seed) for seed in results.seeds)
-    head = (
-        "# Restitution from the ball's height\n\n"
+    parts = [
+        "# Restitution from the ball's height",
         f"Mean absolute error after K rollouts, mean over seeds {seeds}, {results.targets} targets "
-        "each; in brackets the paper's."
-    )
-    if any(outcome.is_given_truths for outcome in results.outcomes):
-        head += f"\n\n\\{GIVEN_NOTE}"
-    tables = [
-        f"## {title(cell)}\n\n{_markdown_table(results, results.of(cell))}"
-        for cell in results.cells
+        "each; in brackets the paper's.",
     ]
-    return "\n\n".join([head, *tables])
+    if any(outcome.is_given_truths for outcome in results.outcomes):
+        parts.append(f"\\{GIVEN_NOTE}")
+    for cell in results.cells:
+        outcomes = results.of(cell)
+        shown = _shown_columns(results, outcomes)
+        lines = ["| method | " + " | ".join(f"K = {n}" for n in shown) + " |"]
+        lines.append("| --- |" + " ---: |" * len(shown))
+        for one in outcomes:
+            cells = [_mean(one, n).replace("(.", "(0.") for n in shown]
+            lines.append(f"| {one.shown} | " + " | ".join(cells) + " |")
+        parts += [f"## {title(cell)}", "\n".join(lines)]
+    return "\n\n".join(parts)
 
 
-def _markdown_table(results: DropResults, outcomes: Sequence[MethodErrors]) -> str:
-    shown = _shown_columns(results, outcomes)
-    lines = ["| method | " + " | ".join(f"K = {n}" for n in shown) + " |"]
-    lines.append("| --- |" + " ---: |" * len(shown))
-    for one in outcomes:
-        cells = [_mean(one, n).replace("(.", "(0.") for n in shown]
-        lines.append(f"| {one.shown} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+# ---- The figure: Easy and Hard side by side.
+
+
+def draw_figure(results: DropResults) -> Figure:
+    """Draw the figure without writing it; every curve and point is inside its axes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 6.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = {panel: curves for panel in PANELS if (curves := error_curves(results, panel))}
+    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    handles: dict[str, Any] = {}
+    most = results.rollouts or MAX_ROLLOUTS
+    ticks = [tick for tick in (0, 1, 2, 5, 10, 20, 40, 100) if tick <= most]
+    for axis, (panel, curves) in zip(axes, panels.items(), strict=True):
+        for curve in curves:
+            color = tuple(part / 255 for part in curve.color)
+            axis.fill_between(curve.rollouts, curve.low, curve.high, color=color, alpha=0.15, lw=0)
+            for rollouts, error in curve.paper:
+                axis.plot(rollouts, error, "D", color=color, ms=5, mew=0, zorder=4)
+            style = {"lw": 2.6, "zorder": 5} if curve.is_ours else {"lw": 1.5}
+            dashes = "--" if curve.is_users else "-"
+            (line,) = axis.plot(curve.rollouts, curve.mean, dashes, color=color, **style)
+            handles[curve.label] = line
+        axis.set(title=f"GT {panel}", xlabel="rollouts", yscale="log")
+        axis.set_xscale("symlog", linthresh=2)
+        axis.set_xlim(0, 1.05 * most)
+        axis.set_xticks(ticks, [str(tick) for tick in ticks])
+        axis.set_xticks([], minor=True)
+        axis.grid(alpha=0.25)
+    # the outermost errors of all panels, which share the axis, with a margin
+    curves = [one for own in panels.values() for one in own]
+    shown = [np.concatenate([one.low, one.high, [y for _, y in one.paper]]) for one in curves]
+    errors = np.concatenate(shown)
+    axes[0].set_ylim(max(FLOOR, float(errors.min()) / 1.3), float(errors.max()) * 1.3)
+    axes[0].set_ylabel(f"mean absolute error of the restitution (drawn from {FLOOR:g} up)")
+    handles["the paper's"] = axes[0].plot([], [], "D", color="0.3", ms=5, mew=0)[0]
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
+    return figure

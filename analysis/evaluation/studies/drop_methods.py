@@ -13,20 +13,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from tunenet_logs.analysis.drop.presets import (
-    OUR_TRAINING,
-    PAPER_HEIGHT_M,
-    PAPER_RADIUS_M,
-    PAPER_RATE_HZ,
-    PAPER_RESTITUTION,
-    PAPER_SAMPLES,
-    TRAININGS,
-    FlightSecant,
-    canonical,
-    observe_paper_drops,
-    paper_rollout,
-    rollout_drop,
-)
+from tunenet_logs.analysis.drop import presets
 from tunenet_logs.analysis.estimators.base import Estimator, Observation, Problem
 from tunenet_logs.analysis.estimators.methods import (
     Brent,
@@ -46,24 +33,12 @@ from tunenet_logs.analysis.evaluation.studies.baselines import (
     direct_pairs,
     train_posterior,
 )
-from tunenet_logs.analysis.evaluation.studies.intervals import fraction_error
+from tunenet_logs.analysis.evaluation.studies.positions import fraction_error
 from tunenet_logs.analysis.evaluation.study import METHODS, Order, Row, figure, scored
 from tunenet_logs.analysis.evaluation.worlds.ball import TEST_SEEDS
 from tunenet_logs.analysis.parallel import Piece, parallel_map
 from tunenet_logs.analysis.registry import needed
-from tunenet_logs.analysis.tunenet.network import (
-    AntisymmetricNetwork,
-    Model,
-    Network,
-    PairSet,
-    PaperNetwork,
-    Weights,
-    layer,
-    linear,
-    relu,
-    tanh,
-    train,
-)
+from tunenet_logs.analysis.tunenet import network as nets
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.recorders.simulators.ball import RESTITUTION, TOPIC, DropRig, DropSimulator
 from tunenet_logs.recorders.simulators.base import CALIBRATED, PAPER, ContactSettings, Parameter
@@ -84,18 +59,18 @@ class DifferenceNetwork:
     def shapes(self, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
         """See `Network.shapes`."""
         return {
-            **layer("proposed", inputs, self.width),
-            **layer("target", inputs, self.width),
-            **layer("joint", self.width, self.width),
-            **layer("out", self.width, outputs),
+            **nets.layer("proposed", inputs, self.width),
+            **nets.layer("target", inputs, self.width),
+            **nets.layer("joint", self.width, self.width),
+            **nets.layer("out", self.width, outputs),
         }
 
-    def residual(self, weights: Weights, proposed: Any, target: Any) -> Any:
+    def residual(self, weights: nets.Weights, proposed: Any, target: Any) -> Any:
         """See `Network.residual`."""
-        of_proposed = relu(linear(weights, "proposed", proposed))
-        of_target = relu(linear(weights, "target", target))
-        joint = relu(linear(weights, "joint", of_target - of_proposed))
-        return tanh(linear(weights, "out", joint))
+        of_proposed = nets.relu(nets.linear(weights, "proposed", proposed))
+        of_target = nets.relu(nets.linear(weights, "target", target))
+        joint = nets.relu(nets.linear(weights, "joint", of_target - of_proposed))
+        return nets.tanh(nets.linear(weights, "out", joint))
 
 
 class Antisymmetrised:
@@ -104,7 +79,7 @@ class Antisymmetrised:
     It is exactly 0 where both observations are equal, for any weights.
     """
 
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: nets.Network) -> None:
         self._network = network
         self.kind = f"antisymmetric {network.kind}"
 
@@ -112,7 +87,7 @@ class Antisymmetrised:
         """See `Network.shapes`."""
         return self._network.shapes(inputs, outputs)
 
-    def residual(self, weights: Weights, proposed: Any, target: Any) -> Any:
+    def residual(self, weights: nets.Weights, proposed: Any, target: Any) -> Any:
         """See `Network.residual`."""
         forth = self._network.residual(weights, proposed, target)
         return (forth - self._network.residual(weights, target, proposed)) / 2
@@ -122,71 +97,63 @@ class Antisymmetrised:
 # Each height of release hits the plane at another phase of the engine's steps, which moves the
 # rebound by more than a network may err (docs/physics.md): both sides of a pair have one height.
 
-HEIGHTS = 160
-RESTITUTIONS = 10  # 1600 rollouts, as many as the paper's 800 pairs take
+_HEIGHTS, _RESTITUTIONS = 160, 10  # 1600 rollouts, as many as the paper's 800 pairs take
 _PAIRS = 51_200  # drawn from those rollouts: each is in many
-# Fraction of the pairs that are neighbours in restitution: fine corrections are learnt too.
-_NEAR_SHARE = 0.3
-
-_NOISE_M = 0.02  # of training: twice that of the noisy cells
-_TRAINING = replace(OUR_TRAINING, noise=_NOISE_M, cut_share=0.0)
 
 
 def train_on_papers(
     seed: int, jobs: int | None, progress: Progress, epochs: int | None = None
-) -> Model:
+) -> nets.Model:
     """Train our network on the paper's simulator; `epochs` in place of the recipe's."""
     pairs = grouped_pairs(seed, jobs, progress)
-    recipe = replace(_TRAINING, epochs=epochs or _TRAINING.epochs)
-    return train(AntisymmetricNetwork(), pairs, recipe, seed, progress)
+    epochs = epochs or presets.OUR_TRAINING.epochs
+    # noise twice that of the noisy cells
+    recipe = replace(presets.OUR_TRAINING, noise=0.02, cut_share=0.0, epochs=epochs)
+    return nets.train(nets.AntisymmetricNetwork(), pairs, recipe, seed, progress)
 
 
 def train_on_calibrated(
     seed: int, jobs: int | None, progress: Progress, epochs: int | None = None
-) -> Model:
+) -> nets.Model:
     """Train what the package ships (preset `default`), with another seed."""
-    ours = TRAININGS["default"]
+    ours = presets.TRAININGS["default"]
     recipe = replace(ours.recipe, epochs=epochs or ours.recipe.epochs)
-    return train(ours.network, ours.make_pairs(None, seed, jobs, progress), recipe, seed, progress)
+    return nets.train(
+        ours.network, ours.make_pairs(None, seed, jobs, progress), recipe, seed, progress
+    )
 
 
-def grouped_pairs(seed: int, jobs: int | None, progress: Progress) -> PairSet:
+def grouped_pairs(seed: int, jobs: int | None, progress: Progress) -> nets.PairSet:
     """Simulate pairs within groups of one height; restitutions uniform over [0, 1] in each."""
     rng = np.random.default_rng(seed)
     low, high = RESTITUTION.training_range
-    heights = np.repeat(rng.uniform(*PAPER_HEIGHT_M, HEIGHTS), RESTITUTIONS)
-    ranks = np.tile(np.arange(RESTITUTIONS), HEIGHTS)
-    values = low + (high - low) * (ranks + rng.random(len(ranks))) / RESTITUTIONS
-    observations = observe_paper_drops(heights, values, jobs, progress)
-    # any two of a group, and some that are neighbours in restitution
-    first_of_group = RESTITUTIONS * rng.integers(HEIGHTS, size=_PAIRS)
-    proposed, anywhere = rng.integers(RESTITUTIONS, size=(2, _PAIRS))
-    beside = np.clip(proposed + rng.choice([-1, 1], _PAIRS), 0, RESTITUTIONS - 1)
-    target = np.where(rng.random(_PAIRS) < _NEAR_SHARE, beside, anywhere)
-    return PairSet(
+    heights = np.repeat(rng.uniform(*presets.PAPER_HEIGHT_M, _HEIGHTS), _RESTITUTIONS)
+    ranks = np.tile(np.arange(_RESTITUTIONS), _HEIGHTS)
+    values = low + (high - low) * (ranks + rng.random(len(ranks))) / _RESTITUTIONS
+    observations = presets.observe_paper_drops(heights, values, jobs, progress)
+    # any two of a group, and 3 of 10 neighbours in restitution: fine corrections are learnt too
+    first_of_group = _RESTITUTIONS * rng.integers(_HEIGHTS, size=_PAIRS)
+    proposed, anywhere = rng.integers(_RESTITUTIONS, size=(2, _PAIRS))
+    beside = np.clip(proposed + rng.choice([-1, 1], _PAIRS), 0, _RESTITUTIONS - 1)
+    target = np.where(rng.random(_PAIRS) < 0.3, beside, anywhere)
+    return nets.PairSet(
         observations, values[:, None], first_of_group + proposed, first_of_group + target
     )
 
 
 # ---- All networks of one seed, by name.
 
-Networks = Mapping[str, Model]  # by the names in `NETWORKS`
-PAPER_NETWORK = "paper"
-PAPER_CODE = "paper-code"
-DIRECT = "direct"
-DIFFERENCE = "difference"
-ANTISYMMETRIC = "antisymmetric"
-OURS = "ours"
-OURS_CALIBRATED = "ours-calibrated"
+Networks = Mapping[str, nets.Model]  # by the names in `NETWORKS`
 
 
+PAPER_CODE, OURS, OURS_CALIBRATED = "paper-code", "ours", "ours-calibrated"
 # Architecture of the paper's, and the preset whose recipe trains it.
-_PLANS: Mapping[str, tuple[Network, str]] = {
-    PAPER_NETWORK: (PaperNetwork(), "paper"),
-    PAPER_CODE: (PaperNetwork(), "paper-code"),
-    DIRECT: (PaperNetwork(), "paper-code"),
-    DIFFERENCE: (DifferenceNetwork(), "paper-code"),
-    ANTISYMMETRIC: (Antisymmetrised(PaperNetwork()), "paper-code"),
+_PLANS: Mapping[str, tuple[nets.Network, str]] = {
+    "paper": (nets.PaperNetwork(), "paper"),
+    PAPER_CODE: (nets.PaperNetwork(), "paper-code"),
+    "direct": (nets.PaperNetwork(), "paper-code"),
+    "difference": (DifferenceNetwork(), "paper-code"),
+    "antisymmetric": (Antisymmetrised(nets.PaperNetwork()), "paper-code"),
 }
 
 _OURS = {OURS: train_on_papers, OURS_CALIBRATED: train_on_calibrated}
@@ -206,27 +173,25 @@ def train_networks(
     plans = {name: plan for name, plan in _PLANS.items() if name in wanted}
     if not plans:
         return trained
-    pairs = TRAININGS["paper-code"].make_pairs(order.pairs, seed, order.jobs, progress)
+    pairs = presets.TRAININGS["paper-code"].make_pairs(order.pairs, seed, order.jobs, progress)
     for name, (network, preset) in plans.items():
-        recipe = TRAININGS[preset].recipe
+        recipe = presets.TRAININGS[preset].recipe
         recipe = replace(recipe, epochs=order.epochs or recipe.epochs)
-        seen = direct_pairs(pairs) if name == DIRECT else pairs
-        trained[name] = train(network, seen, recipe, seed, progress)
+        seen = direct_pairs(pairs) if name == "direct" else pairs
+        trained[name] = nets.train(network, seen, recipe, seed, progress)
     return trained
 
 
 # ---- Registry: methods by name, and what each needs.
 
-# On the paper's simulator; on the calibrated one; the parts of the network compared.
-Table = Literal["paper", "calibrated", "ablation"]
+Simulator = Literal["paper", "calibrated"]
+Table = Literal[Simulator, "ablation"]  # on one of them, or the parts of the network compared
 
 Group = Literal["paper", "user", "ours"]  # whose a method is
 # The method that has a posterior, see `train_posteriors`; only on the paper's simulator.
 NPE = "npe"
 
 MAX_ROLLOUTS = 100  # rollouts a target: the last column of the paper's table 2
-# Rollouts after which the secant and our fits have converged, and give nothing new.
-_SECANT_ROLLOUTS, _OUR_ROLLOUTS = 10, 40
 
 
 @dataclass(frozen=True)
@@ -255,14 +220,9 @@ class _Given:
     posterior: Posterior | None
 
     @property
-    def ours(self) -> Model:
+    def ours(self) -> nets.Model:
         """Our network for the cell's simulator."""
         return self.networks[OURS if self.table == "paper" else OURS_CALIBRATED]
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """Smallest and largest of the truths."""
-        return float(self.truths.min()), float(self.truths.max())
 
 
 @dataclass(frozen=True)
@@ -272,74 +232,64 @@ class _Row:
     label: str
     group: Group
     make: Callable[[_Given], Estimator]
-    budget: int = MAX_ROLLOUTS
-    tables: tuple[Table, ...] = ("paper",)
+    budget: int = MAX_ROLLOUTS  # fewer where it has converged then, and gives nothing new
     networks: tuple[str, ...] = ()  # of `NETWORKS`
     library: str = ""  # an optional one
     free_release: bool = False
+    is_ablation: bool = False
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """Where it competes: the paper's methods and posteriors on the paper's simulator alone."""
+        if self.is_ablation:
+            return ("ablation",)
+        is_papers = self.group == "paper" or self.library == "sbi"
+        return ("paper",) if is_papers else ("paper", "calibrated")
 
 
-def _users(label: str, make: Callable[[_Given], Estimator], **more: Any) -> _Row:
-    """Return what a user without a network would pick."""
-    return _Row(label, "user", make, tables=("paper", "calibrated"), **more)
-
-
-def _network(label: str, network: str, table: Table = "paper") -> _Row:
+def _network(label: str, network: str, *, is_ablation: bool = False) -> _Row:
     """Return the paper's method with one of its networks."""
-    return _Row(
-        label,
-        "paper",
-        lambda given: TuneNet(given.networks[network]),
-        tables=(table,),
-        networks=(network,),
-    )
+
+    def make(given: _Given) -> Estimator:
+        return TuneNet(given.networks[network])
+
+    return _Row(label, "paper", make, networks=(network,), is_ablation=is_ablation)
 
 
-def _our(label: str, make: Callable[[_Given], Estimator], budget: int) -> _Row:
-    needs = (OURS, OURS_CALIBRATED)
-    return _Row(label, "ours", make, budget, ("paper", "calibrated"), needs)
-
-
+_BOTH = (OURS, OURS_CALIBRATED)
 _ROWS: Mapping[str, _Row] = {
     "mean": _Row("Mean", "paper", lambda given: Constant(float(given.truths.mean())), 0),
     "entropy-search": _Row(
-        "Entropy search",
-        "paper",
-        lambda given: EntropySearch(given.ends, given.seed),
+        *("Entropy search", "paper"),
+        lambda given: EntropySearch((given.truths.min(), given.truths.max()), given.seed),
         library="sklearn",
     ),
     "cma-es": _Row(
         "CMA-ES", "paper", lambda given: CmaEs(given.seed), library="cma", free_release=True
     ),
     "direct": _Row(
-        "Direct prediction",
-        "paper",
-        lambda given: Direct(given.networks[DIRECT]),
-        0,
-        networks=(DIRECT,),
+        *("Direct prediction", "paper", lambda given: Direct(given.networks["direct"]), 0),
+        networks=("direct",),
     ),
-    "tunenet-paper": _network("TuneNet, the paper's text", PAPER_NETWORK),
+    "tunenet-paper": _network("TuneNet, the paper's text", "paper"),
     "tunenet-paper-code": _network("TuneNet, its authors' code", PAPER_CODE),
-    "secant": _users(
-        "Secant on the first flight", lambda _: FlightSecant(), budget=_SECANT_ROLLOUTS
-    ),
-    "brent": _users("Brent", lambda _: Brent()),
-    "least-squares": _users("Least squares, many starts", lambda _: LeastSquares()),
-    "tpe": _users("TPE", lambda given: Tpe(given.seed), library="optuna"),
+    "secant": _Row("Secant on the first flight", "user", lambda _: presets.FlightSecant(), 10),
+    "brent": _Row("Brent", "user", lambda _: Brent()),
+    "least-squares": _Row("Least squares, many starts", "user", lambda _: LeastSquares()),
+    "tpe": _Row("TPE", "user", lambda given: Tpe(given.seed), library="optuna"),
     NPE: _Row(
-        "Neural posterior (sbi)",
-        "user",
-        lambda given: NeuralPosterior(cast(Posterior, given.posterior)),
-        0,
+        *("Neural posterior (sbi)", "user"),
+        *(lambda given: NeuralPosterior(cast(Posterior, given.posterior)), 0),
         library="sbi",
     ),
-    "network": _our("Our network alone", lambda given: TuneNet(given.ours), MAX_ROLLOUTS),
-    "ours": _our(
-        "Our network, then fits", lambda given: TuneNetThenLine(given.ours), _OUR_ROLLOUTS
+    "network": _Row("Our network alone", "ours", lambda given: TuneNet(given.ours), networks=_BOTH),
+    "ours": _Row(
+        *("Our network, then fits", "ours", lambda given: TuneNetThenLine(given.ours), 40),
+        networks=_BOTH,
     ),
-    "concatenation": _network("Side by side (the paper's)", PAPER_CODE, "ablation"),
-    "difference": _network("Difference", DIFFERENCE, "ablation"),
-    "antisymmetric": _network("Side by side, antisymmetric", ANTISYMMETRIC, "ablation"),
+    "concatenation": _network("Side by side (the paper's)", PAPER_CODE, is_ablation=True),
+    "difference": _network("Difference", "difference", is_ablation=True),
+    "antisymmetric": _network("Side by side, antisymmetric", "antisymmetric", is_ablation=True),
 }
 
 
@@ -397,7 +347,7 @@ def choose_methods(names: Iterable[str] | None) -> MethodRegistry:
 # ---- Test cases: balls, heights and observation.
 
 # Height of the ball's centre, where a method has to find it too; 4.5 m is the paper's middle.
-RELEASE = Parameter("release_m", "m", (0.6, 10.0), PAPER_HEIGHT_M, 4.5)
+RELEASE = Parameter("release_m", "m", (0.6, 10.0), presets.PAPER_HEIGHT_M, 4.5)
 
 
 @dataclass(frozen=True)
@@ -409,10 +359,10 @@ class TargetSet:
     target: tuple[float, float]  # range of what is to be found
 
 
-EASY = TargetSet("Easy", PAPER_RESTITUTION, PAPER_RESTITUTION)
+EASY = TargetSet("Easy", presets.PAPER_RESTITUTION, presets.PAPER_RESTITUTION)
 HARD = TargetSet("Hard", (0.0, 1.0), (0.0, 1.0))
 # As the paper's text has it; what its authors' code draws is `HARD`.
-HARD_TARGET = TargetSet("Hard (target only)", PAPER_RESTITUTION, (0.0, 1.0))
+HARD_TARGET = TargetSet("Hard (target only)", presets.PAPER_RESTITUTION, (0.0, 1.0))
 
 TARGET_SETS = (EASY, HARD, HARD_TARGET)
 
@@ -431,7 +381,7 @@ class DropTarget:
 def draw_targets(which: TargetSet, count: int, seed: int, noise_m: float = 0.0) -> list[DropTarget]:
     """Draw `count` test cases; the same seed gives the same ones, for any noise."""
     rng = np.random.default_rng([TEST_SEEDS + seed, *which.name.encode()])
-    heights = rng.uniform(*PAPER_HEIGHT_M, count)
+    heights = rng.uniform(*presets.PAPER_HEIGHT_M, count)
     initial = rng.uniform(*which.initial, count)
     truth = rng.uniform(*which.target, count)
     seeds = rng.integers(2**31, size=count)
@@ -469,14 +419,14 @@ class DropProblems:
 
     def __init__(self, contact: ContactSettings = PAPER) -> None:
         self._contact = contact
-        self._world = DropSimulator(paper_rig(PAPER_HEIGHT_M[0]), contact)
+        self._world = DropSimulator(paper_rig(presets.PAPER_HEIGHT_M[0]), contact)
 
     def pose(self, target: DropTarget, *, free_release: bool = False) -> Problem:
         """Pose one test case; `free_release` makes the height of release a second parameter."""
         rig = paper_rig(target.release_m)
         simulator = self._world.with_rig(rig)
         episode = simulator.rollout({RESTITUTION.name: target.truth})
-        observe = paper_rollout
+        observe = presets.paper_rollout
         if self._contact == CALIBRATED:
             observe = partial(_canonical, rig=rig)
         signal = episode.signals[TOPIC]
@@ -491,11 +441,16 @@ class DropProblems:
 
 def paper_rig(release_m: float) -> DropRig:
     """Return the paper's drop from a height of the ball's centre."""
-    return DropRig(release_m - PAPER_RADIUS_M, PAPER_RADIUS_M, PAPER_RATE_HZ, PAPER_SAMPLES)
+    return DropRig(
+        release_m - presets.PAPER_RADIUS_M,
+        presets.PAPER_RADIUS_M,
+        presets.PAPER_RATE_HZ,
+        presets.PAPER_SAMPLES,
+    )
 
 
 def _canonical(episode: Episode, rig: DropRig) -> Observation:
-    return canonical(rollout_drop(episode, rig, CALIBRATED))
+    return presets.canonical(presets.rollout_drop(episode, rig, CALIBRATED))
 
 
 # ---- Run methods on test cases, spread over processes, with the same figures for any number.
@@ -562,13 +517,13 @@ _TABLE_2: Mapping[str, Mapping[str, tuple[float, float, float, float]]] = {
     },
 }
 
-# Its text describes one Hard and its code draws another; its figures stand beside both.
-_SETS = {"Easy": "Easy", "Hard": "Hard", "Hard (target only)": "Hard"}
-
 
 def published_error(which: str, method: str, rollouts: int) -> float | None:
-    """Return the mean absolute error of restitution in table 2; None where there is none."""
-    row = _TABLE_2.get(_SETS.get(which, ""), {}).get(method.removesuffix("-code"))
+    """Return the mean absolute error of restitution in table 2; None where there is none.
+
+    Its text describes one Hard and its code draws another; its figures stand beside both.
+    """
+    row = _TABLE_2.get(which.removesuffix(" (target only)"), {}).get(method.removesuffix("-code"))
     if row is None or rollouts not in PUBLISHED_ROLLOUTS:
         return None
     return row[PUBLISHED_ROLLOUTS.index(rollouts)]
@@ -581,8 +536,6 @@ Experiment = Literal["drop", "ablation"]
 # Budgets at which methods are compared: the paper's K, and 40, our method's.
 ROLLOUTS = (1, 5, 10, 40, 100)
 
-# Methods that are given of the test targets what no method could know.
-GIVEN_TRUTHS = ("mean", "entropy-search")
 
 GIVEN_NOTE = "* is given the mean / the range of the test targets, as by its authors: not ranked."
 
@@ -592,7 +545,7 @@ class Cell:
     """Conditions of a comparison: the same targets, observed alike, in the same simulator."""
 
     experiment: Experiment  # which table it belongs to
-    simulator: str  # "paper" or "calibrated"
+    simulator: Simulator
     which: str  # name of the `TargetSet`
     noise_m: float  # standard deviation of the noise of each height of the target [m]
 
@@ -633,8 +586,8 @@ class MethodErrors:
 
     @property
     def is_given_truths(self) -> bool:
-        """Whether it is given something of the test targets, so that it cannot be ranked."""
-        return self.method in GIVEN_TRUTHS
+        """Whether it is given what no method could know of the test targets: it is not ranked."""
+        return self.method in ("mean", "entropy-search")
 
     @property
     def shown(self) -> str:
@@ -697,11 +650,78 @@ class DropResults:
         return [one for one in self.outcomes if one.cell == cell]
 
 
+# ---- Curves of the figure: error against rollouts.
+
+Color = tuple[int, int, int]
+
+PANELS = ("Easy", "Hard")  # the paper's left and right
+FLOOR = 1e-6  # of restitution: a smaller error is drawn here, for a logarithm
+_COLORS: dict[str, Color] = {
+    "mean": (140, 140, 140),
+    "entropy-search": (148, 103, 189),
+    "cma-es": (140, 86, 75),
+    "direct": (227, 119, 194),
+    "tunenet-paper": (127, 176, 222),
+    "tunenet-paper-code": (31, 119, 210),
+    "secant": (23, 170, 150),
+    "brent": (120, 170, 30),
+    "least-squares": (188, 160, 34),
+    "tpe": (255, 150, 40),
+    "npe": (140, 0, 120),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorCurve:
+    """Error curve of a method."""
+
+    method: str
+    label: str
+    is_ours: bool
+    is_users: bool
+    color: Color
+    # mean over the seeds of the mean absolute error after 0, 1, ... rollouts, shape (R,)
+    mean: Array
+    low: Array  # of the best seed, shape (R,)
+    high: Array  # of the worst, shape (R,)
+    paper: tuple[tuple[int, float], ...]  # (rollouts, error) of the published points
+
+    @property
+    def rollouts(self) -> Array:
+        """0, 1, ..., shape (R,)."""
+        return np.arange(len(self.mean), dtype=np.float64)
+
+
+def error_curves(results: DropResults, panel: str) -> list[ErrorCurve]:
+    """Return the curves of a target set's clean cell; beyond a budget a line goes on.
+
+    Points that the paper gives for two methods of ours are the last one's.
+    """
+    outcomes = results.of(Cell("drop", "paper", panel, 0.0))
+    ours = [one.method for one in outcomes if one.group == "ours"]
+    colors = _COLORS | dict(zip(ours, ((220, 40, 40), (240, 110, 90)), strict=False))
+    most = max(1, *(one.allowed for one in outcomes)) if outcomes else 1
+    budgets = [n for n in PUBLISHED_ROLLOUTS if n <= (results.rollouts or MAX_ROLLOUTS)]
+    curves: list[ErrorCurve] = []
+    for one in outcomes:
+        reach = [n for n in range(min(most, MAX_ROLLOUTS) + 1) if one.knows(n)]
+        means = np.column_stack([one.errors_after(n).mean(axis=1) for n in reach])
+        paper = [(n, published_error(one.cell.which, one.method, n)) for n in budgets]
+        mean, low, high = (np.maximum(of(means, axis=0), FLOOR) for of in (np.mean, np.min, np.max))
+        points = tuple((n, error) for n, error in paper if error is not None)
+        whose = one.group == "ours", one.group == "user"
+        color = colors[one.method]
+        curves.append(ErrorCurve(one.method, one.label, *whose, color, mean, low, high, points))
+    last = {curve.paper: curve.method for curve in curves}
+    return [
+        curve if last[curve.paper] == curve.method else replace(curve, paper=()) for curve in curves
+    ]
+
+
 # ---- Neural posteriors: training, and the coverage of their intervals.
 
 Posteriors = Mapping[tuple[int, float], SbiPosterior]  # by seed and noise of the target [m]
 _Training = tuple[Array, Array, tuple[float, float], int, int | None]  # of `train_posterior`
-SIMULATIONS = 1600  # drops: as many as the paper's 800 pairs take
 
 
 def train_posteriors(noises_m: Collection[float], order: Order, progress: Progress) -> Posteriors:
@@ -709,13 +729,13 @@ def train_posteriors(noises_m: Collection[float], order: Order, progress: Progre
 
     Those of one seed learn from the same drops. The networks are the same for any `jobs`.
     """
-    count = 2 * order.pairs if order.pairs else SIMULATIONS
+    count = 2 * (order.pairs or 800)  # drops: as many as the paper's 800 pairs take
     trainings: dict[tuple[int, float], Piece[_Training]] = {}
     for seed in order.seeds:
         rng = np.random.default_rng([seed, *b"posterior"])
-        releases_m = rng.uniform(*PAPER_HEIGHT_M, count)
+        releases_m = rng.uniform(*presets.PAPER_HEIGHT_M, count)
         restitutions = rng.uniform(*RESTITUTION.training_range, count)
-        drops = observe_paper_drops(releases_m, restitutions, order.jobs, progress)
+        drops = presets.observe_paper_drops(releases_m, restitutions, order.jobs, progress)
         heights_m = drops[:, :, 0]
         for noise_m in noises_m:
             rng = np.random.default_rng([seed, *b"noise of a posterior"])

@@ -19,39 +19,19 @@ from tunenet_logs.analysis.drop.presets import PAPER_RADIUS_M, PAPER_RATE_HZ, PA
 from tunenet_logs.analysis.estimators.base import Step
 from tunenet_logs.analysis.evaluation.studies.drop_methods import EASY, HARD, draw_targets
 from tunenet_logs.analysis.evaluation.study import Order, Part, Row, figure, scored, short, table
-from tunenet_logs.analysis.evaluation.worlds import ball as physics
-from tunenet_logs.analysis.evaluation.worlds.ball import (
-    DRAGS_1_M,
-    DROPS_M,
-    MAX_S,
-    MIN_FALL,
-    RATES_HZ,
-    RESTITUTIONS,
-    SLOPES,
-    TEST_SEEDS,
-    RealBall,
-    fallen,
-)
+from tunenet_logs.analysis.evaluation.worlds import ball as balls
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece
 from tunenet_logs.analysis.tuning import tune_episode
-from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
+from tunenet_logs.episode import Array
 from tunenet_logs.errors import UsageError
-from tunenet_logs.recorders.simulators.ball import (
-    DRAG,
-    RESTITUTION,
-    SLOPE,
-    TOPIC,
-    DropRig,
-    DropSimulator,
-)
+from tunenet_logs.recorders.simulators import ball as simulator
 from tunenet_logs.recorders.simulators.base import CALIBRATED, GRAVITY_M_S2, ContactSettings
 from tunenet_logs.recorders.simulators.known import ENGINES, engine, simulated_by
 from tunenet_logs.terminal import Progress
 
 # ---- Exact engine: a ball that touches the plane leaves it with the restitution that is set.
 # This module has the names of `recorders.simulators.base.Engine` that a drop needs.
-
 
 EXACT = "exact"
 
@@ -109,45 +89,43 @@ def simulated_in(engine: str) -> Iterator[None]:
 
 # ---- The motion of a ball in each engine, and what is measured of it.
 
-
 RADIUS_M = 0.05  # of the balls that engines drop
-# Samples by which a rebound's height is measured, and until when [fall times without air]: the top
-# of the first rebound of a ball that keeps its speed is at 2, in air a little later.
-_FINE_HZ, _FINE_FALLS = 1920.0, 2.4
 
 # By which the integrator's clock is slowed: its gravity is then the engines', while restitutions
 # and drags, which no clock is in, stay as they are.
-CLOCK = math.sqrt(physics.GRAVITY_M_S2 / GRAVITY_M_S2)
+CLOCK = math.sqrt(balls.GRAVITY_M_S2 / GRAVITY_M_S2)
 
 
-def integrated_m(ball: RealBall, seconds: Array) -> Array:
+def integrated_m(ball: balls.RealBall, seconds: Array) -> Array:
     """Integrate the heights of the underside without an engine [m], shape (T,)."""
     own_s = seconds / CLOCK
-    return fallen(ball.values[None], float(own_s[-1])).at(own_s[None])[0]
+    return balls.fallen(ball.values[None], float(own_s[-1])).at(own_s[None])[0]
 
 
-def simulated_m(name: str, ball: RealBall, seconds: Array) -> Array:
+def simulated_m(name: str, ball: balls.RealBall, seconds: Array) -> Array:
     """Simulate the same heights in an engine of this name, one of `ENGINES`."""
-    rig = DropRig(gap_m=ball.drop_m, radius_m=RADIUS_M, times_s=tuple(seconds.tolist()))
+    rig = simulator.DropRig(gap_m=ball.drop_m, radius_m=RADIUS_M, times_s=tuple(seconds.tolist()))
     world = engine(name).ball_world(RADIUS_M, CALIBRATED)
     values = {
-        RESTITUTION.name: ball.restitution,
-        SLOPE.name: ball.slope,
-        DRAG.name: ball.drag_1_m,
+        simulator.RESTITUTION.name: ball.restitution,
+        simulator.SLOPE.name: ball.slope,
+        simulator.DRAG.name: ball.drag_1_m,
     }
-    episode = DropSimulator(rig, CALIBRATED, world).rollout(values)
-    return episode.signals[TOPIC].values[:, 2] - RADIUS_M
+    episode = simulator.DropSimulator(rig, CALIBRATED, world).rollout(values)
+    return episode.signals[simulator.TOPIC].values[:, 2] - RADIUS_M
 
 
-def source_m(name: str, ball: RealBall, seconds: Array) -> Array:
+def source_m(name: str, ball: balls.RealBall, seconds: Array) -> Array:
     """Return the heights by a target's source: an engine, or the integrator for `EXACT`."""
     return integrated_m(ball, seconds) if name == EXACT else simulated_m(name, ball, seconds)
 
 
 def fine_seconds(drop_m: float) -> Array:
-    """Return times at which a drop's first rebound can be measured, shape (T,)."""
-    span_s = _FINE_FALLS * math.sqrt(2 * drop_m / GRAVITY_M_S2)
-    return np.arange(0.0, span_s, 1 / _FINE_HZ)
+    """Return times at which a drop's first rebound can be measured, shape (T,).
+
+    The top of that of a ball that keeps its speed is at 2 fall times, in air a little later.
+    """
+    return np.arange(0.0, 2.4 * math.sqrt(2 * drop_m / GRAVITY_M_S2), 1 / 1920.0)
 
 
 def rebound_restitution(heights_m: Array) -> float:
@@ -166,13 +144,12 @@ def rebound_restitution(heights_m: Array) -> float:
 
 def apart_percent(heights_m: Array, others_m: Array) -> float:
     """Return the RMS difference of two motions over the bounces in view [% of the drop]."""
-    last = int(np.flatnonzero(heights_m > MIN_FALL * heights_m[0])[-1])
+    last = int(np.flatnonzero(heights_m > balls.MIN_FALL * heights_m[0])[-1])
     off_m = (heights_m - others_m)[: last + 1]
     return 100 * float(np.sqrt(np.mean(off_m**2)) / heights_m[0])
 
 
 # ---- Targets: the paper's Easy and Hard ranges, and real balls in air.
-
 
 REAL = "Real balls"
 
@@ -194,7 +171,7 @@ RANGES = (Promise(EASY.name, 0.003), Promise(HARD.name, 0.005), Promise(REAL, No
 class EngineTarget:
     """Ball to be dropped by one engine and tuned in another."""
 
-    ball: RealBall  # given to the source
+    ball: balls.RealBall  # given to the source
     initial: float  # the first guess of its restitution
     rate_hz: float  # of the samples
     samples: int  # how many, the first at the release
@@ -208,44 +185,34 @@ class EngineTarget:
 def drawn_targets(which: str, count: int, seed: int) -> list[EngineTarget]:
     """Draw `count` targets of a range; the same for every pair of engines, by the seed.
 
-    Easy and Hard are those of `tunenet-eval drop`: 400 samples at 60 Hz from 3.5 to 4.5 m.
+    Easy and Hard are those of `tunenet-eval drop`: 400 samples at 60 Hz from 3.5 to 4.5 m. Real
+    balls are of the ranges of `tunenet-eval real-balls`.
     """
-    if which == REAL:
-        rng = np.random.default_rng([TEST_SEEDS + seed, *REAL.encode()])
-        return [_real_ball(rng) for _ in range(count)]
-    found = draw_targets({EASY.name: EASY, HARD.name: HARD}[which], count, seed)
-    return [
-        EngineTarget(
-            RealBall(one.truth, 0.0, 0.0, one.release_m - PAPER_RADIUS_M),
-            *(one.initial, PAPER_RATE_HZ, PAPER_SAMPLES),
-        )
-        for one in found
-    ]
-
-
-def _real_ball(rng: np.random.Generator) -> EngineTarget:
-    """Draw a ball of the ranges of `tunenet-eval real-balls`."""
-    low, high = np.log(DRAGS_1_M)
-    ball = RealBall(
-        rng.uniform(*RESTITUTIONS),
-        rng.uniform(*SLOPES),
-        float(np.exp(rng.uniform(low, high))),
-        rng.uniform(*DROPS_M),
-    )
-    rate_hz = RATES_HZ[int(rng.integers(len(RATES_HZ)))]
-    return EngineTarget(ball, rng.uniform(*HARD.initial), rate_hz, round(MAX_S * rate_hz))
+    if which != REAL:
+        found = draw_targets({EASY.name: EASY, HARD.name: HARD}[which], count, seed)
+        return [
+            EngineTarget(
+                balls.RealBall(one.truth, 0.0, 0.0, one.release_m - PAPER_RADIUS_M),
+                *(one.initial, PAPER_RATE_HZ, PAPER_SAMPLES),
+            )
+            for one in found
+        ]
+    rng = np.random.default_rng([balls.TEST_SEEDS + seed, *REAL.encode()])
+    targets: list[EngineTarget] = []
+    for _ in range(count):
+        ball, rate_hz = balls.drawn_ball(rng)
+        first = rng.uniform(*HARD.initial)
+        targets.append(EngineTarget(ball, first, rate_hz, round(balls.MAX_S * rate_hz)))
+    return targets
 
 
 # ---- Run: every target of every source, tuned in every engine.
-
 
 ROLLOUTS = 5  # of each tuning: `tunenet-tune --iterations 5`
 # The network's steps alone, and the default, which goes on from there. One tuning has both.
 METHODS = ("tunenet", "tunenet+refine")
 
 NAMES = (*ENGINES, EXACT)  # sources, and engines that are tuned
-_TOPIC = "/vrpn/ball/pose"
-_START_NS = 1_700_000_000_000_000_000
 
 
 @dataclass(frozen=True)
@@ -262,17 +229,18 @@ def run(order: Order, progress: Progress) -> Iterator[Part]:
     cells = [(one, source, tuned) for one in RANGES for source in NAMES for tuned in NAMES]
     cases: dict[tuple[Promise, str, str], list[Piece[Portion]]] = {}
     for promise, source, tuned in cells:
-        drawn = [
+        if missing_engine(source, tuned) is not None:
+            continue
+        targets = [
             target
             for seed in order.seeds
             for target in drawn_targets(promise.name, order.targets, seed)
         ]
-        portions = [drawn[at : at + 5] for at in range(0, len(drawn), 5)]
-        if missing_engine(source, tuned) is None:
-            cases[promise, source, tuned] = [
-                Piece(Portion(source, tuned, tuple(some)), len(some), f"{source} to {tuned}")
-                for some in portions
-            ]
+        portions = [tuple(targets[at : at + 5]) for at in range(0, len(targets), 5)]
+        cases[promise, source, tuned] = [
+            Piece(Portion(source, tuned, some), len(some), f"{source} to {tuned}")
+            for some in portions
+        ]
     done = scored(tuned_targets, cases, order, progress, ("tuning", "target"))
     count = len(order.seeds) * order.targets
     rows = [
@@ -305,13 +273,10 @@ def tuned_targets(portion: Portion) -> list[Row]:
 def _tuned(source: str, tuned_engine: str, target: EngineTarget) -> Iterator[Row]:
     drop_m = target.ball.drop_m
     heights_m = source_m(source, target.ball, target.seconds)
-    # The log in memory: positions alone, nothing of ball, table or release.
     positions_m = np.zeros((len(heights_m), 3))
     positions_m[:, 2] = RADIUS_M + heights_m
-    stamps_ns = _START_NS + np.round(1e9 * target.seconds).astype(np.int64)
-    signal = Signal(_TOPIC, stamps_ns, positions_m, ("x", "y", "z"), "m")
     options = TuneOptions(task="drop", iterations=ROLLOUTS, initial=(target.initial,))
-    tuning = tune_episode(Episode(EpisodeInfo(), {_TOPIC: signal}), options)
+    tuning = tune_episode(balls.ball_log(target.seconds, positions_m), options)
     trace = tuning.trace
     if trace is None:
         return
@@ -320,7 +285,7 @@ def _tuned(source: str, tuned_engine: str, target: EngineTarget) -> Iterator[Row
     wanted = rebound_restitution(source_m(source, target.ball, fine_s))
     for method, step in zip(METHODS, (last_of_network, trace.steps[-1]), strict=True):
         restitution, slope, drag_1_m = step.values.tolist()
-        tuned = RealBall(restitution, slope, drag_1_m, drop_m)
+        tuned = balls.RealBall(restitution, slope, drag_1_m, drop_m)
         found = rebound_restitution(simulated_m(tuned_engine, tuned, fine_s))
         yield {
             "method": method,
@@ -337,8 +302,8 @@ def _rolled_out_m(step: Step, seconds: Array) -> Array:
     """Return the underside's heights in the tuning's own rollout at the log's stamps [m], (T,)."""
     assert step.evaluation is not None
     episode = step.evaluation.episode
-    signal = episode.signals[TOPIC]
-    at, rows = matched(seconds, (signal.stamps_ns - _START_NS).astype(np.float64) * 1e-9)
+    signal = episode.signals[simulator.TOPIC]
+    at, rows = matched(seconds, (signal.stamps_ns - balls.START_NS).astype(np.float64) * 1e-9)
     heights_m = np.full(len(seconds), np.nan)
     heights_m[at] = signal.values[rows, 2] - episode.info.rig["ball_diameter_m"] / 2
     return heights_m
@@ -380,43 +345,41 @@ def line_of(
 
 def engine_tables(rows: Sequence[Row], order: Order) -> str:
     """Tabulate all pairs for each range, each with the network alone and with the default."""
-    head = (
+    tables = [
         f"Made in one engine, tuned in another; {order.seeds_in_words}, {order.targets} "
         f"targets each, {ROLLOUTS} rollouts.\n"
         "mean, worst: error of the effective restitution (the root of the first rebound's height\n"
         "over the drop's), by the source's motion and the tuned simulator's, of all answered.\n"
         "motion: rms difference of the two over the bounces in view, mean [% of the drop height].\n"
         "worst ok: of those whose verdict is ok, not suspect; a promise is for them."
-    )
-    return "\n\n".join([head, *(_table(one, rows) for one in RANGES)])
-
-
-def _table(promise: Promise, rows: Sequence[Row]) -> str:
-    network, default = (
-        [one for one in rows if one["set"] == promise.name and one["method"] == name]
-        for name in METHODS
-    )
-    title = f"{promise.name} (slope and drag; nothing is promised)"
-    if promise.worst is not None:
-        kept = [one["is_kept"] for one in default if one["is_kept"] is not None]
-        title = (
-            f"{promise.name} (promised of {METHODS[-1]}: worst within {short(promise.worst)}; "
-            f"kept by {sum(kept)} of {len(kept)} pairs)"
-        )
-    lines = [
-        ["", "", "", "", METHODS[0], "", "", METHODS[1]],
-        ["source", "tuned in", "ok", "answered", *2 * ("mean", "worst", "motion"), "worst ok"],
     ]
-    for one, full in zip(network, default, strict=True):
-        cells = [full["source"], full["engine"]]
-        if full["missing"] is not None:
-            lines.append([*cells, f"not run: {full['missing']} is not installed"])
-            continue
-        cells += [str(full["ok"]), f"{full['answered']} of {full['targets']}"]
-        for each in (one, full):
-            motion = each["motion_mean_percent"]
-            cells += [short(each["mean"]), short(each["worst"])]
-            cells.append("-" if motion is None else f"{short(motion)} %")
-        missed = "missed" if full["is_kept"] is False else ""
-        lines.append([*cells, short(full["worst_ok"]), missed])
-    return table(lines, title)
+    for promise in RANGES:
+        network, default = (
+            [one for one in rows if one["set"] == promise.name and one["method"] == name]
+            for name in METHODS
+        )
+        title = f"{promise.name} (slope and drag; nothing is promised)"
+        if promise.worst is not None:
+            kept = [one["is_kept"] for one in default if one["is_kept"] is not None]
+            title = (
+                f"{promise.name} (promised of {METHODS[-1]}: worst within {short(promise.worst)}; "
+                f"kept by {sum(kept)} of {len(kept)} pairs)"
+            )
+        lines = [
+            ["", "", "", "", METHODS[0], "", "", METHODS[1]],
+            ["source", "tuned in", "ok", "answered", *2 * ("mean", "worst", "motion"), "worst ok"],
+        ]
+        for one, full in zip(network, default, strict=True):
+            cells = [full["source"], full["engine"]]
+            if full["missing"] is not None:
+                lines.append([*cells, f"not run: {full['missing']} is not installed"])
+                continue
+            cells += [str(full["ok"]), f"{full['answered']} of {full['targets']}"]
+            for each in (one, full):
+                motion = each["motion_mean_percent"]
+                cells += [short(each["mean"]), short(each["worst"])]
+                cells.append("-" if motion is None else f"{short(motion)} %")
+            missed = "missed" if full["is_kept"] is False else ""
+            lines.append([*cells, short(full["worst_ok"]), missed])
+        tables.append(table(lines, title))
+    return "\n\n".join(tables)

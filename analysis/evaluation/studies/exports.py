@@ -60,15 +60,37 @@ from tunenet_logs.terminal import Progress
 
 def run(order: Order, progress: Progress) -> Iterator[Part]:
     """Measure section by section; only the promises are drawn from the first seed."""
-    sections = {"contact": _contacts, "files": _files, "mujoco": _promises}
     for section in order.sections:
-        yield sections[section](order, order.targets_of("exports", section), progress)
+        count = order.targets_of("exports", section)
+        if section == "contact":
+            cases = [Piece((label, count), 1, label) for label in CONTACTS]
+            title = f"Worst |effective - set| in PyBullet, {count} drops of 0.3 to 5 m"
+            rows = scored(contact_row, {"": cases}, order, progress, ("contact", "setting"))[""]
+        elif section == "files":
+            engines = [one for one in map(export_format, FORMATS) if one.LIBRARY is not None]
+            missing = [one.NAME for one in engines if not find_spec(one.LIBRARY or "")]
+            files = [
+                Piece((one.NAME, use, count), 1, use.label)
+                for one in engines
+                for use in (() if one.NAME in missing else uses(one))
+            ]
+            # one after the other in a process, as its time is measured
+            alone = replace(order, jobs=1)
+            rows = scored(file_row, {"": files}, alone, progress, ("dropping", "file"))[""]
+            title = f"Worst |effective - wanted|, {count} heights from .3 to 3 m"
+            title += f"; not run: {', '.join(missing)}" if missing else ""
+        else:
+            draws = _Draws(_SEEDS + order.seeds[0], count)
+            measures = (_simulator, _file_rebounds, _slip, _file_rest, _air, _torques, _cost)
+            asked = [Piece((measure, draws)) for measure in measures]
+            rows = scored(measured, {"": asked}, order, progress, ("measuring", "promise"))[""]
+            version = import_module("mujoco").__version__
+            title = f"MuJoCo {version}, {count} drops of .2 to 5 m; worst of all"
+        yield Part(section, listed(rows, title), rows)
 
 
 # ---- Contact settings of PyBullet: effective restitution by the energies in mid-flight.
 
-
-_SET = (0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 1.0)
 _FIXED = replace(CALIBRATED, meet_impacts=False)
 # Settings, and steps a second.
 CONTACTS: Mapping[str, tuple[ContactSettings, float]] = {
@@ -80,13 +102,6 @@ CONTACTS: Mapping[str, tuple[ContactSettings, float]] = {
 }
 
 
-def _contacts(order: Order, count: int, progress: Progress) -> Part:
-    cases = {"": [Piece((label, count), 1, label) for label in CONTACTS]}
-    rows = scored(contact_row, cases, order, progress, ("contact", "setting"))[""]
-    title = f"Worst |effective - set| in PyBullet, {count} drops of 0.3 to 5 m"
-    return Part("contact", listed(rows, title), rows)
-
-
 def contact_row(case: tuple[str, int]) -> list[Row]:
     """Compute the worst difference of effective and set restitution over so many drops."""
     label, count = case
@@ -95,7 +110,7 @@ def contact_row(case: tuple[str, int]) -> list[Row]:
             abs(_effective(*CONTACTS[label], gap_m, one) - one)
             for gap_m in np.geomspace(0.3, 5.0, count).tolist()
         )
-        for one in _SET
+        for one in (0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 1.0)
     }
     return [{"set": label, **off}]
 
@@ -117,9 +132,7 @@ def _effective(contact: ContactSettings, rate_hz: float, gap_m: float, restituti
 # The balls are simulated, recorded and tuned. Effective is the root of the first rebound's height
 # over the drop's.
 
-
 WANTED = (0.2, 0.3, 0.5, 0.7, 0.9)
-_COARSE_S = 1 / 240
 
 
 class Use(NamedTuple):
@@ -145,26 +158,8 @@ def uses(engine: ExportFormat) -> list[Use]:
     assert step_s is not None
     return [
         Use(engine.NAME, f"1/{1 / step_s:.0f} s"),
-        Use(f"{engine.NAME}, coarse", f"1/{1 / _COARSE_S:.0f} s", step_s=_COARSE_S),
+        Use(f"{engine.NAME}, coarse", "1/240 s", step_s=1 / 240),
     ]
-
-
-def _files(order: Order, count: int, progress: Progress) -> Part:
-    """Run one engine after the other in a process, as its time is measured."""
-    pieces: list[Piece[tuple[str, Use, int]]] = []
-    missing: list[str] = []
-    for each in map(export_format, FORMATS):
-        if each.LIBRARY is None:
-            continue
-        if find_spec(each.LIBRARY):
-            pieces += [Piece((each.NAME, use, count), 1, use.label) for use in uses(each)]
-        else:
-            missing.append(each.NAME)
-    alone = replace(order, jobs=1)
-    rows = scored(file_row, {"": pieces}, alone, progress, ("dropping", "file"))[""]
-    title = f"Worst |effective - wanted|, {count} heights from .3 to 3 m"
-    title += f"; not run: {', '.join(missing)}" if missing else ""
-    return Part("files", listed(rows, title), rows)
 
 
 def file_row(case: tuple[str, Use, int]) -> list[Row]:
@@ -210,22 +205,8 @@ def _ball(record: Record, options: ExportOptions) -> ExportedBall:
 
 # ---- Promises of MuJoCo: its simulator, its exported file, its torques beside Pinocchio's.
 
-
 _SEEDS = 20_260  # heights, radii and throws are drawn from these and a seed: none is a test's
 _TENTHS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
-_BOUNCES, _PATHS, _STEPS, _ROUNDS = 4, 5, 6_400, 60
-_HELD = (None, Payload(0.8, (0.03, -0.02, 0.01)), Payload(2.0))
-
-
-def _promises(order: Order, count: int, progress: Progress) -> Part:
-    draws = _Draws(_SEEDS + order.seeds[0], count)
-    measures = (_simulator, _file_rebounds, _slip, _file_rest, _air, _torques, _cost)
-    cases = {"": [Piece((measure, draws)) for measure in measures]}
-    rows = scored(measured, cases, order, progress, ("measuring", "promise"))[""]
-    title = (
-        f"MuJoCo {import_module('mujoco').__version__}, {count} drops of .2 to 5 m; worst of all"
-    )
-    return Part("mujoco", listed(rows, title), rows)
 
 
 def measured(case: tuple[Callable[[_Draws], Iterator[Row]], _Draws]) -> list[Row]:
@@ -252,11 +233,7 @@ class _Draws(NamedTuple):
 
     def sizes(self) -> Iterator[tuple[float, float]]:
         """Yield heights and radii."""
-        return zip(self.heights(1), self.numbers(0.01, 0.2, 2), strict=True)
-
-    def heights(self, which: int) -> list[float]:
-        """Draw heights [m]."""
-        return self.numbers(0.2, 5.0, which)
+        return zip(self.numbers(0.2, 5.0, 1), self.numbers(0.01, 0.2, 2), strict=True)
 
     def throws(self) -> list[tuple[float, float]]:
         """Draw speeds along the floor and down to it [m/s]."""
@@ -372,13 +349,13 @@ def _air(draws: _Draws) -> Iterator[Row]:
     """Measure balls of a table, with slope and drag, up to the impact that ends their bounces."""
     worst_m = 0.0
     for table_ball in TABLE_BALLS:
-        for height_m in draws.heights(5):
+        for height_m in draws.numbers(0.2, 5.0, 5):
             ball = table_ball.dropped(height_m)
             impacts_s = CLOCK * fallen(ball.values[None], 20.0).impacts_s[0]
-            seconds = np.arange(0.0, float(impacts_s[_BOUNCES]), 1 / 240)
+            seconds = np.arange(0.0, float(impacts_s[4]), 1 / 240)
             off_m = simulated_m("mujoco", ball, seconds) - integrated_m(ball, seconds)
             worst_m = max(worst_m, float(np.abs(off_m).max()))
-    what = f"(e) simulator: slope and drag, {_BOUNCES} bounces of {len(TABLE_BALLS)} kinds of balls"
+    what = f"(e) simulator: slope and drag, 4 bounces of {len(TABLE_BALLS)} kinds of balls"
     yield promised(what, "mm", 0.2, 1e3 * worst_m)
 
 
@@ -390,10 +367,10 @@ def _torques(draws: _Draws) -> Iterator[Row]:
         arms["iiwa"] = read_arm(folder / "kuka_iiwa" / "model.urdf", "lbr_iiwa_link_7")
         arms["Panda"] = read_arm(folder / "franka_panda" / "panda.urdf", "panda_hand")
     dynamics = import_module("pinocchio")
-    seeds = range(draws.seed, draws.seed + min(_PATHS, draws.drops))
+    seeds = range(draws.seed, draws.seed + min(5, draws.drops))
     for name, arm in arms.items():
         worst_nm = 0.0
-        for payload in _HELD:
+        for payload in (None, Payload(0.8, (0.03, -0.02, 0.01)), Payload(2.0)):
             model = dynamics.buildModelFromXML(arm.urdf(payload))
             model.gravity.linear = np.array(UPRIGHT_GRAVITY_M_S2)
             data = model.createData()
@@ -414,16 +391,16 @@ def _cost(draws: _Draws) -> Iterator[Row]:
     step = import_module("mujoco").mj_step
 
     def bare() -> None:
-        for _ in range(_STEPS):
+        for _ in range(steps):
             step(model, data)
 
     ours_s, bare_s = [], []
-    rounds = min(_ROUNDS, 2 * draws.drops)
+    steps, rounds = 6_400, min(60, 2 * draws.drops)
     for _ in range(rounds):
-        for work, spent_s in ((lambda: world.steps(1 / 240, _STEPS), ours_s), (bare, bare_s)):
+        for work, spent_s in ((lambda: world.steps(1 / 240, steps), ours_s), (bare, bare_s)):
             world.place(1.0, 0.7)  # the model keeps the time step and the contact
             begin_s = time.process_time()
             work()
             spent_s.append(time.process_time() - begin_s)
-    what = f"(g) {_STEPS} steps over a bare loop, least of {rounds} each"
+    what = f"(g) {steps} steps over a bare loop, least of {rounds} each"
     yield promised(what, "", 1.3, min(ours_s) / min(bare_s))

@@ -38,9 +38,8 @@ from tunenet_logs.terminal import Progress
 # ---- Balls that are heard: their impact times, and the bound of what these tell.
 
 _GRAVITY_M_S2 = 9.80665
-_MIN_SPEED_M_S = 0.25  # a slower impact is not heard
 # Of the balls: half normal, and log normal within `_DRAGS_1_M`.
-_SLOPE_SD, _LOG_DRAG_SD, _TYPICAL_DRAG_1_M = 0.08, 1.0, 0.03
+_LOG_DRAG_SD = 1.0
 
 _DRAGS_1_M = (0.002, 0.15)  # a steel ball's, and a little more than a table-tennis ball's
 JITTERS_S = (0.0005, 0.001, 0.002)
@@ -67,7 +66,7 @@ def _impacts(unknowns: Array, count: int) -> Array:
     while len(times) < count:
         lasted, arrives = flight_of(speed, drag_1_m, _GRAVITY_M_S2)
         second = arrives if len(times) == 1 else second
-        if arrives < _MIN_SPEED_M_S:
+        if arrives < 0.25:  # a slower impact is not heard
             break
         speed = unknowns[1] * (arrives / second) ** -unknowns[2] * arrives
         times.append(times[-1] + lasted)
@@ -113,8 +112,8 @@ def heard_set(rng: np.random.Generator, number: int) -> HeardSet:
     The jitter is normal.
     """
     while True:
-        first, slope = float(rng.uniform(0.4, 0.9)), float(abs(rng.normal(0, _SLOPE_SD)))
-        drag_1_m = float(np.exp(rng.normal(np.log(_TYPICAL_DRAG_1_M), _LOG_DRAG_SD)))
+        first, slope = float(rng.uniform(0.4, 0.9)), float(abs(rng.normal(0, 0.08)))
+        drag_1_m = float(np.exp(rng.normal(np.log(0.03), _LOG_DRAG_SD)))
         height_m = float(rng.uniform(0.3, 2.0))
         jitter_s = float(rng.choice(JITTERS_S))
         most = int(rng.integers(_MIN_IMPACTS, _MAX_IMPACTS + 1))
@@ -184,7 +183,6 @@ def figures_of(label: str, scores: list[Row]) -> Row:
 # ---- Verdicts on impact times: of balls, and of rhythms and noises that are no ball's.
 
 _SHARP_S = 0.001  # jitter of times that a machine might have made
-_MANY = 6  # impacts from which on a ball should mostly be told
 
 
 def _clapping(jitter_s: float) -> Callable[[np.random.Generator, int], Array]:
@@ -236,7 +234,7 @@ def _sets(seed: int, count: int, balls: int) -> Iterator[tuple[list[str], Array]
     rng = np.random.default_rng([seed, *b"impact times"])  # the balls of the first table
     for number in range(balls):
         one = heard_set(rng, number)
-        many = "6 or more" if len(one.times_s) >= _MANY else "fewer"
+        many = "6 or more" if len(one.times_s) >= 6 else "fewer"
         part = [f"with a {one.wrong}" if one.wrong == "noise" else "with one missed"]
         yield [f"balls, {many}", *(part if one.wrong else [])], one.times_s
 

@@ -52,7 +52,6 @@ from tunenet_logs.terminal import Progress
 
 # ---- Payloads as a real arm's driver reports them, torques by inverse dynamics.
 
-
 _SEEDS = 19_000_000  # logs are drawn from these and a seed: nothing was chosen on them
 _MASS_KG = (0.05, 1.5)  # from what a driver's torques just show to what a Jaco lifts
 
@@ -70,12 +69,8 @@ def drawn_payload(seed: int, index: int) -> tuple[Episode, float, Episode]:
 
 # ---- Methods on drops and payloads.
 
-
 ROLLOUTS = (3, 5, 10)  # after which answers are compared: `tunenet-tune` lets a method spend 5
 NOISES_M = (0.0, 0.01)  # of every height of a target: none, and what a good tracker leaves
-FAILURE = 0.02  # error of a restitution that nobody would call tuned: what cross-checks object to
-# Of a payload: between two and three times the mean error of a tuning without a tare.
-FAILURE_KG = 0.1
 
 
 def methods_with(network: Model, middle: float | None) -> dict[str, tuple[Method, float | None]]:
@@ -110,7 +105,8 @@ def drop_rows(networks: Mapping[int, Model], order: Order, progress: Progress) -
                 cases.setdefault(cell, []).append(Piece(batch, len(own), label))
     done = scored(drop_errors, cases, order, progress, ("estimating", "target"))
     return [
-        {"method": label, "rollouts": spent, "targets": cell, **_figures(errors, spent, FAILURE)}
+        # nobody would call a larger error of a restitution tuned: what cross-checks object to
+        {"method": label, "rollouts": spent, "targets": cell, **_figures(errors, spent, 0.02)}
         for (label, cell), errors in done.items()
         for spent in ROLLOUTS
     ]
@@ -146,7 +142,8 @@ def payload_rows(errors: Sequence[Array]) -> list[Row]:
         {
             "method": label,
             "rollouts": spent,
-            **_figures([one[at] for one in errors], spent, FAILURE_KG),
+            # two to three times the mean error of a tuning without a tare
+            **_figures([one[at] for one in errors], spent, 0.1),
         }
         for at, label in enumerate(labels)
         for spent in ROLLOUTS
@@ -184,9 +181,8 @@ def trained(case: tuple[int, int | None]) -> list[Model]:
 def run(order: Order, progress: Progress) -> Iterator[Part]:
     """Try the methods on payloads and on drops."""
     if "payloads" in order.sections:
-        portions = order.portions(10, order.targets_of("network", "payloads"))
-        payloads = [Piece(one, len(one[1])) for one in portions]
-        errors = scored(payload_errors, {"": payloads}, order, progress, ("payloads", "log"))
+        cases = {"": order.pieces(10, targets=order.targets_of("network", "payloads"))}
+        errors = scored(payload_errors, cases, order, progress, ("payloads", "log"))
         rows = payload_rows(errors[""])
         title = "Payloads [kg], after so many rollouts: mean; median; share over .1"
         yield Part("payloads", pivoted(rows, "rollouts", title), rows)

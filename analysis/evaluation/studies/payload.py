@@ -43,21 +43,11 @@ from tunenet_logs.analysis.evaluation.worlds.arm import (
 )
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece
+from tunenet_logs.analysis.payload import detection
 from tunenet_logs.analysis.payload.arm_log import read_arm_log
-from tunenet_logs.analysis.payload.detection import (
-    PAPER_GRAVITY_M_S2,
-    PAPER_MASS_KG,
-    PAPER_RATE_HZ,
-    PAPER_SAMPLES,
-    TRAININGS,
-    paper_torques,
-    payload_readings,
-)
-from tunenet_logs.analysis.payload.noise import NormalEquations
 from tunenet_logs.analysis.payload.torque_fit import fit_payload
 from tunenet_logs.analysis.payload.torque_model import (
     CONVENTIONS,
-    ArmMotion,
     Convention,
     arm_motion,
 )
@@ -88,9 +78,6 @@ from tunenet_logs.terminal import Progress
 # The bound is what no unbiased estimate beats where nothing but the sensors' noise, the payload's
 # centre and, without a tare, their zeros are unknown.
 
-_SMOOTH_S = 0.35  # of the parabolas whose derivatives are a joint's speed and acceleration
-_SLOW_RAD_S = 0.01  # dry friction turns over with a joint's speed, over this
-
 
 def least_squares(model: Any, frame: int, held: Episode) -> float:
     """Estimate the mass [kg] by least squares, beside offset, viscous and dry friction a joint."""
@@ -99,7 +86,8 @@ def least_squares(model: Any, frame: int, held: Episode) -> float:
     seconds, where, effort = _read(held)
     speed, pull, empty = _moved(model, seconds, where)
     per_kg = rigid_nm(_holding_1_kg(model, frame, np.zeros(3)), where, speed, pull) - empty
-    own = (np.ones_like(speed), speed, np.tanh(speed / _SLOW_RAD_S))
+    # dry friction turns over with a joint's speed, over .01 rad/s
+    own = (np.ones_like(speed), speed, np.tanh(speed / 0.01))
     # one a joint, each joint in turn
     columns = [np.asarray(block_diag(*one.T[:, :, None]), np.float64) for one in own]
     slopes = np.hstack([per_kg.T.reshape(-1, 1), *columns])
@@ -152,9 +140,11 @@ def _moved(model: Any, seconds: Array, where: Array) -> tuple[Array, Array, Arra
     from scipy.signal import savgol_filter
 
     step = median_step(seconds)
-    window = max(2 * int(_SMOOTH_S / step / 2) + 1, 7)
-    speed = np.asarray(savgol_filter(where, window, 3, 1, step, axis=0), np.float64)
-    pull = np.asarray(savgol_filter(where, window, 3, 2, step, axis=0), np.float64)
+    window = max(2 * int(0.35 / step / 2) + 1, 7)  # .35 s
+    speed, pull = (
+        np.asarray(savgol_filter(where, window, 3, order, step, axis=0), np.float64)
+        for order in (1, 2)
+    )
     return speed, pull, rigid_nm(model, where, speed, pull)
 
 
@@ -170,14 +160,8 @@ def _solve(slopes: Array, target: Array) -> Array:
 # Torques come from the engine's inverse dynamics, the fit's from Pinocchio; nothing of the
 # disturbances is given.
 
-# Logs are drawn from these and a seed; whatever was chosen was chosen on seeds below 100 000.
-_DRIVER_SEEDS = 5_000_000
-
 ARMS = 1_000  # arms, with their disturbances, that belong to each seed of the command
-MAX_KG = 1.0  # of a payload: the range of the paper's training
 MAX_OFFSET_M = 0.03  # of its centre from the gripper's, along each axis
-# Samples of the motion, its duration, and messages where noise is the only disturbance.
-_PATH_HZ, _SECONDS, _NOISE_RATE_HZ = 500.0, 5.2, 60.0
 
 _OF_SD = float(np.sqrt(2 / np.pi))  # mean absolute value of a Gaussian over its standard deviation
 
@@ -212,49 +196,41 @@ CASES = (
 )
 
 
-def driver_logs(case: tuple[LogCase, tuple[int, ...]]) -> list[Row]:
-    """Tune logs of a case, by their numbers."""
-    which, numbers = case
-    return [_tuned_log(which, number) for number in numbers]
-
-
-def _tuned_log(case: LogCase, number: int) -> Row:
-    arm, seed = jaco(), _DRIVER_SEEDS + number
+def driver_log(case: tuple[LogCase, int]) -> list[Row]:
+    """Tune a log of a case; whatever was chosen was chosen on numbers below 100 000."""
+    which, seed = case[0], 5_000_000 + case[1]
+    arm = jaco()
     rng = np.random.default_rng([seed, 0xBE])
-    mass_kg = float(rng.uniform(0, MAX_KG))
-    x, y, z = (rng.uniform(-MAX_OFFSET_M, MAX_OFFSET_M, 3) * case.is_off_centre).tolist()
-    path = circle if case.is_circle else lambda *when: random_path(arm, seed, *when)
-    moved = path(_PATH_HZ, _SECONDS)
-    sizes = DisturbanceScales(
-        **{
-            item.name: getattr(REAL_ARM, item.name) * case.share
-            for item in fields(DisturbanceScales)
-            if item.name not in ("torque_noise_nm", "most_lag_s", "friction_opposes")
-        }
+    mass_kg = float(rng.uniform(0, 1.0))  # the range of the paper's training
+    x, y, z = (rng.uniform(-MAX_OFFSET_M, MAX_OFFSET_M, 3) * which.is_off_centre).tolist()
+    when = (500.0, 5.2)  # samples a second of the motion, and its duration
+    moved = circle(*when) if which.is_circle else random_path(arm, seed, *when)
+    sizes = {
+        item.name: getattr(REAL_ARM, item.name) * which.share
+        for item in fields(DisturbanceScales)
+        if item.name not in ("torque_noise_nm", "most_lag_s", "friction_opposes")
+    }
+    disturbances = through_kinovas_driver(
+        drawn(seed, arm, DisturbanceScales(**sizes)), which.rate_hz
     )
-    disturbances = through_kinovas_driver(drawn(seed, arm, sizes), case.rate_hz)
-    if case.noise_nm is not None:
+    if which.noise_nm is not None:
         disturbances = Disturbances(
-            torque_noise_nm=case.noise_nm, rate_hz=_NOISE_RATE_HZ, noise_seed=2 * seed
+            torque_noise_nm=which.noise_nm, rate_hz=60.0, noise_seed=2 * seed
         )
-    tares = [driver_episode(arm, moved, None, disturbances.another_run())] * case.has_tare
+    tares = [driver_episode(arm, moved, None, disturbances.another_run())] * which.has_tare
     episode = driver_episode(arm, moved, Payload(mass_kg, (x, y, z)), disturbances)
     tuning = tune_episode(episode, TuneOptions(task="payload", tares=tuple(tares)))
     fit = tuning.trace.fit if tuning.trace else None
     row: Row = {"truth": mass_kg, "value": None, "ok": tuning.verdict == "ok"}
     if tuning.estimate is None or fit is None:
-        return {**row, "ok": False}
-    low, high = fit.interval95[0].tolist()
+        return [{**row, "ok": False}]
+    row["value"] = float(tuning.estimate[0])
+    row["low"], row["high"] = fit.interval95[0].tolist()
+    row["bound"] = fit.detail.bound_kg
+    row["secant"] = np.nan if tuning.cross_check is None else tuning.cross_check.value
+    # errors along x, y, z of the tool
     off_m = np.abs(fit.extra[0].values - (x, y, z)) if fit.extra else None
-    return {
-        **row,
-        "value": float(tuning.estimate[0]),
-        "low": low,
-        "high": high,
-        "bound": fit.detail.bound_kg,
-        "secant": np.nan if tuning.cross_check is None else tuning.cross_check.value,
-        "centre_mm": None if off_m is None else 1000 * off_m,  # errors along x, y, z of the tool
-    }
+    return [{**row, "centre_mm": None if off_m is None else 1000 * off_m}]
 
 
 def log_row(case: LogCase, logs: Sequence[Row]) -> Row:
@@ -287,15 +263,10 @@ def log_row(case: LogCase, logs: Sequence[Row]) -> Row:
 # ---- Table 1 (Allevato et al. 2019): the mass in an arm's gripper.
 # Networks learn from masses of 0 to 1 kg; validation targets are as heavy, test targets 1 kg more.
 
-Observe = Callable[[Episode], Observation]
-
 ITERATIONS = 9  # K of the paper's table 1
-_MASS_SEEDS = 7_000_000  # targets are drawn from these and a seed; training from the seed alone
 # By how much the targets are heavier than what was learnt from [kg].
 SETS: Mapping[str, float] = {"validation": 0.0, "test": 1.0}
 
-# Of the masses learnt from; the mean of the targets is as much heavier as they are.
-TRAINED_MEAN_KG = sum(PAPER_MASS_KG) / 2
 
 EFFORT = f"{TOPIC}.effort"
 
@@ -326,34 +297,46 @@ METHODS = (
 def masses_of_seed(case: tuple[int, Order]) -> list[Row]:
     """Run every method on the same targets of a seed: a row for each method and set."""
     seed, order = case
-    simulator = PayloadSimulator(
-        jaco(),
-        circle(PAPER_RATE_HZ, PAPER_SAMPLES / PAPER_RATE_HZ),
-        gravity_m_s2=PAPER_GRAVITY_M_S2,
-    )
+    path = circle(detection.PAPER_RATE_HZ, detection.PAPER_SAMPLES / detection.PAPER_RATE_HZ)
+    simulator = PayloadSimulator(jaco(), path, gravity_m_s2=detection.PAPER_GRAVITY_M_S2)
     empty, per_kg = simulator.empty_efforts_nm, simulator.efforts_nm_per_kg
     mass = simulator.parameters[0].name
+
+    def torques(episode: Episode) -> Observation:
+        effort = episode.signals[EFFORT]
+        return detection.paper_torques(effort.seconds, effort.values)
+
+    def readings(episode: Episode) -> Observation:
+        return detection.payload_readings(episode.signals[EFFORT].values, empty, per_kg)
+
     networks: dict[str, Model] = {}
-    for name, preset in TRAININGS.items():
+    for name, preset in detection.TRAININGS.items():
         quiet = Progress(quiet=True)
         pairs = preset.make_pairs(order.pairs, seed, 1, quiet)
         recipe = replace(preset.recipe, epochs=order.epochs or preset.recipe.epochs)
         networks[name] = train(preset.network, pairs, recipe, seed, quiet)
-    rng = np.random.default_rng([_MASS_SEEDS, seed])
+    # targets are drawn from these and a seed; training from the seed alone
+    rng = np.random.default_rng([7_000_000, seed])
     rows: list[Row] = []
     for which, heavier in SETS.items():
-        initial = rng.uniform(*PAPER_MASS_KG, order.targets)
-        truths = rng.uniform(*PAPER_MASS_KG, order.targets) + heavier
-        efforts = [simulator.rollout({mass: float(truth)}).signals[EFFORT] for truth in truths]
-        beyond = np.array([effort.values - empty for effort in efforts])
+        initial = rng.uniform(*detection.PAPER_MASS_KG, order.targets)
+        truths = rng.uniform(*detection.PAPER_MASS_KG, order.targets) + heavier
+        episodes = [simulator.rollout({mass: float(truth)}) for truth in truths]
+        beyond = np.array([one.signals[EFFORT].values - empty for one in episodes])
         values: dict[str, Array] = {
             "one": np.ones(len(truths)),
-            "mean": np.full(len(truths), TRAINED_MEAN_KG + heavier),
+            "mean": np.full(len(truths), sum(detection.PAPER_MASS_KG) / 2 + heavier),
             "secant": np.tensordot(beyond, per_kg, 2) / (per_kg**2).sum(),
         }
         for name, model in networks.items():
-            steps = _iterated(simulator, model, OBSERVE[name](simulator), initial, truths)
-            values |= {name: steps[:, -1], f"{name}-1": steps[:, 1]}
+            observe = readings if name == "default" else torques
+            steps: list[list[float]] = []  # of every target [kg]
+            for guess, episode in zip(initial, episodes, strict=True):
+                problem = Problem(observe(episode), simulator, observe, np.array([guess]))
+                trace = TuneNet(model).estimate(problem, ITERATIONS)
+                steps.append([float(step.values[0]) for step in trace.steps])
+            iterates = np.array(steps)
+            values |= {name: iterates[:, -1], f"{name}-1": iterates[:, 1]}
         for method in METHODS:
             errors = np.abs(values[method.name] - truths)
             rows.append(
@@ -370,38 +353,6 @@ def masses_of_seed(case: tuple[int, Order]) -> list[Row]:
     return rows
 
 
-def _iterated(
-    simulator: PayloadSimulator, model: Model, observe: Observe, initial: Array, truths: Array
-) -> Array:
-    """Return the iterates of every target [kg], shape (targets, K + 1)."""
-    name = simulator.parameters[0].name
-    rows: list[list[float]] = []
-    for guess, truth in zip(initial, truths, strict=True):
-        target = observe(simulator.rollout({name: float(truth)}))
-        problem = Problem(target, simulator, observe, np.array([guess]))
-        trace = TuneNet(model).estimate(problem, ITERATIONS)
-        rows.append([float(step.values[0]) for step in trace.steps])
-    return np.array(rows)
-
-
-def _torques(episode: Episode) -> Observation:
-    effort = episode.signals[EFFORT]
-    return paper_torques(effort.seconds, effort.values)
-
-
-def _readings_by(simulator: PayloadSimulator) -> Observe:
-    empty, per_kg = simulator.empty_efforts_nm, simulator.efforts_nm_per_kg
-    return lambda episode: payload_readings(episode.signals[EFFORT].values, empty, per_kg)
-
-
-# What the network of each preset looks at.
-OBSERVE: Mapping[str, Callable[[PayloadSimulator], Observe]] = {
-    "default": _readings_by,
-    "paper": lambda _: _torques,
-    "paper-code": lambda _: _torques,
-}
-
-
 # ---- Strangers' arms: the product beside the baselines, and arms with one trouble alone.
 
 # Logs are drawn from these and on; whatever was chosen was chosen on seeds up to 1000.
@@ -413,8 +364,6 @@ LOGS_OF_A_SEED = 100_000
 # What a stranger's driver means by torque: the joint's, with the arm's weight.
 PLAIN = Convention(1, True)
 
-# An answer that is `ok` and further off than this many halves of its interval misleads.
-_FAR_HALF_WIDTHS = 3.0
 _G = 1000.0  # grams in a kilogram
 
 
@@ -425,11 +374,6 @@ class StrangerCase:
     label: str  # in words
     troubles: Troubles  # of the arms
     size: float = 1.0  # of the troubles, by what the label stands for
-
-    @property
-    def sized(self) -> Troubles:
-        """Troubles at this size."""
-        return self.troubles.times(self.size)
 
 
 # The last seven have one trouble alone, beside the noise of the first.
@@ -466,21 +410,19 @@ class StrangerAnswer:
 def stranger_numbers(seeds: Sequence[int], count: int) -> tuple[int, ...]:
     """Return the draw numbers of `count` logs, in equal shares of the command's seeds."""
     share = -(-count // len(seeds))
-    numbers = [
-        STRANGER_SEEDS + seed * LOGS_OF_A_SEED + one for seed in seeds for one in range(share)
-    ]
-    return tuple(numbers[:count])
+    firsts = (STRANGER_SEEDS + seed * LOGS_OF_A_SEED for seed in seeds)
+    return tuple(first + one for first in firsts for one in range(share))[:count]
 
 
 def stranger_logs(case: tuple[StrangerCase, tuple[int, ...]]) -> list[Row]:
     """Draw logs and run every method on each; what differs is without the tare, and with it."""
     which, numbers = case
+    model = described_arm(JACO_URDF)
+    frame = model.getFrameId(JACO_TOOL_LINK)
     rows: list[Row] = []
     for number in numbers:
-        log = stranger_log(JACO_URDF, JACO_TOOL_LINK, number, which.sized)
+        log = stranger_log(JACO_URDF, JACO_TOOL_LINK, number, which.troubles.times(which.size))
         held, empty = log.held.episode, log.empty.episode
-        model = described_arm(JACO_URDF)
-        frame = model.getFrameId(JACO_TOOL_LINK)
         rows.append(
             {
                 "truth": log.mass_kg,
@@ -515,7 +457,8 @@ def stranger_row(case: StrangerCase, logs: Sequence[Row], *, has_tare: bool) -> 
         np.array([getattr(one, name) for one in answers]) for name in ("low_kg", "high_kg")
     )
     off_g = _G * np.abs(np.array([one.mass_kg for one in answers]) - truth)
-    far = off_g > _FAR_HALF_WIDTHS * _G * (high - low) / 2
+    # An answer that is `ok` and further off than this many halves of its interval misleads.
+    far = off_g > 3.0 * _G * (high - low) / 2
     ok = np.array([one.is_ok for one in answers], bool)
     wrong = np.array([one.convention != PLAIN for one in answers], bool)
     row: Row = {
@@ -566,15 +509,13 @@ def convention_of(at: int) -> Convention:
     return CONVENTIONS[at // len(_TROUBLES) % len(CONVENTIONS)]
 
 
-def convention_logs(case: tuple[tuple[int, int], ...]) -> list[str]:
-    """Tune logs, each a place among all and a number to draw it from; see `OUTCOMES`."""
-    found: list[str] = []
-    for at, number in case:
-        troubles, convention = _TROUBLES[at % len(_TROUBLES)], convention_of(at)
-        log = stranger_log(JACO_URDF, JACO_TOOL_LINK, number, troubles)
-        meant = as_meant(described_arm(JACO_URDF), log.held, convention)
-        found.append(outcome(convention, stranger_answer(meant, ())))
-    return found
+def convention_log(case: tuple[int, int]) -> list[str]:
+    """Tune a log, given its place among all and a number to draw it from; see `OUTCOMES`."""
+    at, number = case
+    convention = convention_of(at)
+    log = stranger_log(JACO_URDF, JACO_TOOL_LINK, number, _TROUBLES[at % len(_TROUBLES)])
+    meant = as_meant(described_arm(JACO_URDF), log.held, convention)
+    return [outcome(convention, stranger_answer(meant, ()))]
 
 
 def outcome(meant: Convention, answer: StrangerAnswer | None) -> str:
@@ -603,7 +544,6 @@ def as_meant(model: Any, run: StrangerRun, convention: Convention) -> Episode:
 # another payload, all along other motions, the sensors' zeros drifting between any two runs. Every
 # card is from runs that the log knows nothing of.
 
-
 WAYS = (
     "alone",
     "one tare",
@@ -626,16 +566,13 @@ def fits_of_arm(number: int) -> list[Array]:
     runs = stranger_runs(JACO_URDF, JACO_TOOL_LINK, number, FULL, payloads)
     arm = jaco()
     log, other, *empty = (arm_motion(read_arm_log(one.episode, arm)) for one in runs)
-
-    def learnt(
-        motion: ArmMotion, tares: list[ArmMotion], known: NormalEquations | None = None
-    ) -> NormalEquations:
-        return fit_payload(arm, motion, tares, known=known).learnt
-
-    one = learnt(other, empty[:1])
+    of_other = fit_payload(arm, other, empty[:1]).learnt
     cards = (
-        *(learnt(empty[0], []), learnt(other, []), one, learnt(other, empty)),
-        learnt(empty[1], empty[2:], one),
+        fit_payload(arm, empty[0], []).learnt,
+        fit_payload(arm, other, []).learnt,
+        of_other,
+        fit_payload(arm, other, empty).learnt,
+        fit_payload(arm, empty[1], empty[2:], known=of_other).learnt,
     )
     fits = [fit_payload(arm, log, tares) for tares in ([], empty[:1], empty)]
     fits += [fit_payload(arm, log, known=card) for card in cards]
@@ -651,26 +588,20 @@ def _cards(order: Order, progress: Progress) -> Part:
     found = scored(fits_of_arm, cases, order, progress, ("cards", "arm"))[""]
     masses, lows, highs, truths = np.stack(found).transpose(2, 1, 0)
     errors_g = _G * np.abs(masses - truths)
+    more_g, held = errors_g - errors_g[WAYS.index("one tare")], holds(lows, highs, truths)
     rows: list[Row] = [
         {
             "way": way,
-            "mean_g": float(own.mean()),
-            "sd_g": float(own.std() / np.sqrt(len(own))),
-            "median_g": float(np.median(own)),
-            "worst_g": float(own.max()),
-            "more_than_one_tare_g": float(more.mean()),
-            "more_sd_g": float(more.std() / np.sqrt(len(own))),
-            "held": figure(held),
-            "width_g": float(np.median(width_g)),
+            "mean_g": figure(errors_g[at]),
+            "sd_g": float(errors_g[at].std() / np.sqrt(count)),
+            "median_g": figure(errors_g[at], np.median),
+            "worst_g": figure(errors_g[at], np.max),
+            "more_than_one_tare_g": figure(more_g[at]),
+            "more_sd_g": float(more_g[at].std() / np.sqrt(count)),
+            "held": figure(held[at]),
+            "width_g": figure(_G * (highs - lows)[at], np.median),
         }
-        for way, own, more, held, width_g in zip(
-            WAYS,
-            errors_g,
-            errors_g - errors_g[WAYS.index("one tare")],
-            holds(lows, highs, truths),
-            _G * (highs - lows),
-            strict=True,
-        )
+        for at, way in enumerate(WAYS)
     ]
     return Part("cards", listed(rows, f"Errors of {count} strangers' arms, by the fit alone"), rows)
 
@@ -696,10 +627,11 @@ def _logs(order: Order, progress: Progress) -> Part:
     count = max(1, order.targets_of("payload", "logs") * 2 // 3)
     share = -(-count // len(order.seeds))
     numbers = [seed * ARMS + one for seed in order.seeds for one in range(share)][:count]
-    done = scored(driver_logs, _cases(CASES, numbers, 10), order, progress, ("payloads", "log"))
+    cases = {one: [Piece((one, number), 1, one.label) for number in numbers] for one in CASES}
+    done = scored(driver_log, cases, order, progress, ("payloads", "log"))
     rows = [log_row(case, logs) for case, logs in done.items()]
     title = (
-        f"Payloads of 0 to {MAX_KG:g} kg in logs of 5 s, through the whole of tunenet-tune.\n"
+        "Payloads of 0 to 1 kg in logs of 5 s, through the whole of tunenet-tune.\n"
         "bound's: the best that the model which the answer states allows (Cramér and Rao).\n"
         "centre: how often it is given, with which errors of x, y, z and of the mass then.\n"
     )
@@ -708,7 +640,9 @@ def _logs(order: Order, progress: Progress) -> Part:
 
 def _strangers(order: Order, progress: Progress) -> Part:
     numbers = stranger_numbers(order.seeds, order.targets_of("payload", "strangers"))
-    cases = _cases(STRANGER_CASES, numbers, 5)
+    cases = {
+        one: [Piece((one, (number,)), 1, one.label) for number in numbers] for one in STRANGER_CASES
+    }
     done = scored(stranger_logs, cases, order, progress, ("strangers", "log"))
     rows = [
         stranger_row(case, logs, has_tare=has_tare)
@@ -724,18 +658,10 @@ def _strangers(order: Order, progress: Progress) -> Part:
     return Part("strangers", table(shown(_STRANGER_COLUMNS, rows), title), rows)
 
 
-def _cases(kinds: Sequence[Any], numbers: Sequence[int], size: int) -> dict[Any, list[Piece[Any]]]:
-    """Split the numbers of each kind: few a portion, so that the processes end together."""
-    parts = [tuple(numbers[at : at + size]) for at in range(0, len(numbers), size)]
-    return {kind: [Piece((kind, part), len(part), kind.label) for part in parts] for kind in kinds}
-
-
 def _conventions(order: Order, progress: Progress) -> Part:
     numbers = stranger_numbers(order.seeds, order.targets_of("payload", "conventions"))
-    asked = list(enumerate(numbers))
-    parts = [tuple(asked[at : at + 5]) for at in range(0, len(asked), 5)]
-    cases = {"": [Piece(part, len(part)) for part in parts]}
-    outcomes = scored(convention_logs, cases, order, progress, ("conventions", "log"))[""]
+    cases = {"": [Piece(one) for one in enumerate(numbers)]}
+    outcomes = scored(convention_log, cases, order, progress, ("conventions", "log"))[""]
     rows: list[Row] = []
     for meant in (*CONVENTIONS, None):
         own = [what for at, what in enumerate(outcomes) if meant in (None, convention_of(at))]

@@ -59,13 +59,9 @@ from tunenet_logs.terminal import Progress
 # It knows gravity, the noise and the ranges that the balls were drawn from. Around its best values
 # the model is taken as linear; the rest is integrated over, within the ranges of slope and drag.
 
-
 _STEPS = 12  # of half a flight: within some micrometres of the truth's
 # For derivatives: of restitution, slope, drag, drop, release and level.
 _NUDGES = np.array([1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4])
-
-_GRID = 121  # slopes and drags that the ranges are kept to on
-_ENDS = (0.025, 0.5, 0.975)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +83,7 @@ def fit_reference(drop: RecordedDrop, cell: WorldCell) -> ReferenceFit:
     """Fit one drop whose slope and drag are from the ranges of `cell`."""
     from scipy.optimize import least_squares
 
-    truth = drop.ball
-    start = np.array([*truth.values, 0.0, drop.level_m])
+    start = np.array([*drop.ball.values, 0.0, drop.level_m])
     low = np.array([0.0, cell.slopes[0], cell.drags_1_m[0], 0.01, -1.0, -np.inf])
     high = np.array([1.0, cell.slopes[1], cell.drags_1_m[1], np.inf, 1.0, np.inf])
 
@@ -102,8 +97,7 @@ def fit_reference(drop: RecordedDrop, cell: WorldCell) -> ReferenceFit:
 
     margin = 1e-9 * (high[1:3] - low[1:3])
     start[1:3] = np.clip(start[1:3], low[1:3] + margin, high[1:3] - margin)
-    # the stubs know "2-point" and the like alone
-    by: Any = slopes
+    by: Any = slopes  # the stubs know "2-point" and the like alone
     best = least_squares(
         *(residuals, start, by),
         bounds=(low, high),
@@ -134,60 +128,46 @@ def _posterior(best: Array, misfit: Array, slopes: Array, cell: WorldCell) -> tu
         slopes: their derivatives by these three and by what else is fitted, shape (T, 6).
         cell: whose ranges are kept to.
     """
+    from scipy.special import ndtr
+
     others, _ = np.linalg.qr(slopes[:, 3:])
     own = slopes[:, :3] - others @ (others.T @ slopes[:, :3])
     misfit = misfit - others @ (others.T @ misfit)
     # Given slope and drag, the restitution is normal; their own weight is what that leaves.
     unit = own[:, 0] / (own[:, 0] @ own[:, 0])
     deviation = 1 / float(np.linalg.norm(own[:, 0]))
-    shift = -unit @ np.column_stack([misfit, own[:, 1:]])
     rest = np.column_stack([misfit, own[:, 1:]])
+    shift = -unit @ rest
     rest = rest + np.outer(own[:, 0], shift)
     precision = rest.T @ rest
-
-    def over(low: float, high: float, at: float, weight: float) -> Array:
-        reach = 8 / np.sqrt(max(weight, 1e-12))
-        return np.linspace(max(low, at - reach), min(high, at + reach), _GRID)
-
     ranges = np.array([np.ptp(cell.slopes), np.ptp(cell.drags_1_m)])
     spread = np.linalg.inv(precision[1:, 1:] + np.diag(ranges**-2))
-    slope = over(*cell.slopes, float(best[1]), 1 / spread[0, 0])
-    drag = over(*cell.drags_1_m, float(best[2]), 1 / spread[1, 1])
+    grids: list[Array] = []
+    for at, (low, high) in enumerate((cell.slopes, cell.drags_1_m)):
+        middle, reach = float(best[1 + at]), 8 / np.sqrt(max(1 / spread[at, at], 1e-12))
+        grids.append(np.linspace(max(low, middle - reach), min(high, middle + reach), 121))
+    slope, drag = grids
     off = np.stack(np.meshgrid(slope - best[1], drag - best[2], indexing="ij"))
     squares = 2 * np.einsum("a,aij->ij", precision[0, 1:], off)
     squares += np.einsum("ab,aij,bij->ij", precision[1:, 1:], off, off)
     weights = np.exp(-(squares - squares.min()) / 2) / drag
     weights /= weights.sum()
-    centres = best[0] + shift[0] + np.einsum("a,aij->ij", shift[1:], off)
-    found = np.array(
-        [
-            _normal_quantiles(centres.ravel(), deviation, weights.ravel()),
-            _grid_quantiles(slope, weights.sum(axis=1)),
-            _grid_quantiles(drag, weights.sum(axis=0)),
-        ]
-    )
-    return found[:, 1], found[:, [0, 2]]
-
-
-def _grid_quantiles(grid: Array, weights: Array) -> Array:
-    """Return the quantiles of a density on an even grid, by trapezia, shape (3,)."""
-    mass = np.concatenate([[0.0], np.cumsum((weights[1:] + weights[:-1]) / 2)])
-    return np.interp(_ENDS, mass / mass[-1], grid)
-
-
-def _normal_quantiles(centres: Array, deviation: float, weights: Array) -> Array:
-    """Return the quantiles of a mixture of normals of one deviation, shape (3,)."""
-    from scipy.special import ndtr
-
-    kept = weights > 1e-7 * weights.max()
-    centres, weights = centres[kept], weights[kept] / weights[kept].sum()
+    # of the restitution, a mixture of normals of one deviation
+    centres = (best[0] + shift[0] + np.einsum("a,aij->ij", shift[1:], off)).ravel()
+    kept = weights.ravel() > 1e-7 * weights.max()
+    centres, parts = centres[kept], weights.ravel()[kept] / weights.ravel()[kept].sum()
     grid = np.linspace(centres.min() - 5 * deviation, centres.max() + 5 * deviation, 401)
-    mass = np.array([weights @ ndtr((at - centres) / deviation) for at in grid])
-    return np.interp(_ENDS, mass, grid)
+    mass = np.array([parts @ ndtr((at - centres) / deviation) for at in grid])
+    ends = (0.025, 0.5, 0.975)
+    found = [np.interp(ends, mass, grid)]
+    for grid, density in ((slope, weights.sum(axis=1)), (drag, weights.sum(axis=0))):
+        sums = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])  # by trapezia
+        found.append(np.interp(ends, sums / sums[-1], grid))
+    quantiles = np.array(found)
+    return quantiles[:, 1], quantiles[:, [0, 2]]
 
 
 # ---- A tuning beside the truth: its parameters and its motion.
-
 
 # By their names in a record; one that a tuning does not report is NaN.
 PARAMETERS = ("restitution", "restitution_slope", "drag")
@@ -270,12 +250,8 @@ def _off(tuning: Tuning, episode: Episode, drop: RecordedDrop) -> Array:
 
 # ---- Work of one process: drops of a cell, of a ball of the table, or videos.
 
-
 SEEN = 0.6  # of the time from the release to the last bounce in view: what a prediction is tuned on
-LIGHT_DRAGS_1_M = (0.1, 0.14)
-LIGHT_RADIUS_M = 0.02  # of light balls whose kind is not named, about a table-tennis ball's
 LIGHT = ("light, no slope", "light, slope")  # their names in tables
-_FILM_HZ = 60.0
 # By which a ball's motion is foretold: ours, tuned on the first `SEEN` of the time; the preset
 # "paper" on all that it asks for, for any verdict; and without air, by the restitution that gives
 # the first rebound's height, and by the one that is best on the first `SEEN`.
@@ -356,14 +332,11 @@ def filmed_light(case: tuple[bool, int, range]) -> list[Score]:
     found: list[Score] = []
     for number in numbers:
         rng = np.random.default_rng([seed, number, *b"light"])
-        ball = RealBall(
-            rng.uniform(*RESTITUTIONS),
-            rng.uniform(*SLOPES) * has_slope,
-            rng.uniform(*LIGHT_DRAGS_1_M),
-            rng.uniform(*DROPS_M),
-        )
-        drop = record_drop(ball, _FILM_HZ, 0.0, rng)
-        tuning = tune_track(filmed(drop, LIGHT_RADIUS_M, rng), TuneOptions())
+        restitution, slope = rng.uniform(*RESTITUTIONS), rng.uniform(*SLOPES) * has_slope
+        ball = RealBall(restitution, slope, rng.uniform(0.1, 0.14), rng.uniform(*DROPS_M))
+        drop = record_drop(ball, 60.0, 0.0, rng)
+        # of light balls whose kind is not named, about a table-tennis ball's
+        tuning = tune_track(filmed(drop, 0.02, rng), TuneOptions())
         found.append(Score(found_by(tuning, drop)))
     return found
 
@@ -375,28 +348,20 @@ def _mean_error(off: Array | None) -> float:
 # ---- Run: the stranger's balls, those of the table, and videos.
 
 
-_PORTION = 5  # drops in a portion: few, so that the processes end together
-
-
 def run(order: Order, progress: Progress) -> Iterator[Part]:
     """Tune the drops of each section; the first part says what is measured."""
     # drops of a ball of the table for each height and seed: one for 50 drops of a cell
     count = max(1, order.targets // 50)
     yield Part("", protocol(order, count))
-    portions = order.portions(_PORTION)
-
-    def table_cases(ball: TableBall) -> list[Piece[Any]]:
-        units = count * len(HEIGHTS_M)
-        return [Piece((ball, seed, count), units, ball.name) for seed in order.seeds]
-
-    of_table = {ball.name: table_cases(ball) for ball in TABLE_BALLS}
-    of_cells = {
-        cell.label: [Piece((cell, *one), len(one[1]), cell.label) for one in portions]
-        for cell in CELLS
+    of_table = {
+        one.name: [
+            Piece((one, seed, count), count * len(HEIGHTS_M), one.name) for seed in order.seeds
+        ]
+        for one in TABLE_BALLS
     }
+    of_cells = {cell.label: order.pieces(5, cell, name=cell.label) for cell in CELLS}
     of_light = {
-        label: [Piece((bool(slopes), *one), len(one[1]), label) for one in portions]
-        for slopes, label in enumerate(LIGHT)
+        label: order.pieces(5, bool(slopes), name=label) for slopes, label in enumerate(LIGHT)
     }
     work = {
         "positions": [(compared_drops, of_cells)],
@@ -413,7 +378,6 @@ def run(order: Order, progress: Progress) -> Iterator[Part]:
 
 
 # ---- Figures of a line: errors with the worst beside the mean, intervals, verdicts.
-
 
 PATH = "path"
 
@@ -475,7 +439,6 @@ def _shares(verdicts: Sequence[str]) -> Row:
 
 
 # ---- Tables for a terminal.
-
 
 _TITLES = {
     "positions": "the stranger's balls, positions",
@@ -541,38 +504,23 @@ def section_tables(section: str, rows: Sequence[Row]) -> Iterator[str]:
     """Yield a table for each quantity of a section, and one for the foretold motions."""
     reference = section == "positions"
     for quantity, words in _QUANTITIES.items():
-        if quantity == PATH:
-            columns = (*_PATHS, *(_REFERENCE_PATHS if reference else ()))
-        else:
-            columns = (*_ERRORS, *(_REFERENCE if reference else ()))
+        columns, more = (_PATHS, _REFERENCE_PATHS) if quantity == PATH else (_ERRORS, _REFERENCE)
         own = [row for row in rows if row["quantity"] == quantity]
-        yield table(shown(columns, own), f"{words}: {_TITLES[section]}")
+        shown_ones = (*columns, *more) if reference else columns
+        yield table(shown(shown_ones, own), f"{words}: {_TITLES[section]}")
     if reference:
         return
-    heads = {"ours": "ours"}
-    if section == "balls":
-        heads |= dict(
-            zip(MOTION[1:], ("the paper's", "first rebound", "best airless"), strict=True)
-        )
-    by_label: dict[str, dict[str, Row]] = {}
-    for row in rows:
-        if row["quantity"] in MOTION:
-            by_label.setdefault(row["label"], {})[row["quantity"]] = row
+    names = ("ours", "the paper's", "first rebound", "best airless")
+    heads = dict(zip(MOTION, names if section == "balls" else names[:1], strict=False))
+    lines = [["", "answered", *heads.values()]]
+    for ours in rows:
+        if ours["quantity"] != "ours":
+            continue
+        own = {row["quantity"]: row for row in rows if row["label"] == ours["label"]}
+        cells = (f"{_of_height(own[q]['mean'])}, {_of_height(own[q]['worst'])}" for q in heads)
+        lines.append([ours["label"], f"{ours['answered']} of {ours['drops']}", *cells])
     yield table(
-        [
-            ["", "answered", *heads.values()],
-            *(
-                [
-                    label,
-                    f"{own['ours']['answered']} of {own['ours']['drops']}",
-                    *(
-                        f"{_of_height(own[q]['mean'])}, {_of_height(own[q]['worst'])}"
-                        for q in heads
-                    ),
-                ]
-                for label, own in by_label.items()
-            ),
-        ],
+        lines,
         f"Motion error up to the last bounce in view: {_TITLES[section]}\n"
         "(mean, worst in % of the height; ours and best airless tuned on the first 60 % of the\n"
         "time, the paper's on 7 s at 60 Hz)",

@@ -13,13 +13,15 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from tunenet_logs.analysis.evaluation.studies.curves import PANELS, ErrorCurve, error_curves
-from tunenet_logs.analysis.evaluation.studies.drop_methods import DropResults
+from tunenet_logs.analysis.evaluation.studies.drop_methods import (
+    PANELS,
+    DropResults,
+    ErrorCurve,
+    error_curves,
+)
 from tunenet_logs.analysis.review.drawing import entity_of, log_words, written
 
 ROLLOUTS = "rollouts"  # its timeline: what a method has been allowed so far
-# The axis is this many times as long as the curves; the legend stands beside them.
-_LEGEND_ROOM = 1.5
 
 
 def write_convergence(results: DropResults, markdown: str, path: Path) -> None:
@@ -37,12 +39,36 @@ def write_convergence(results: DropResults, markdown: str, path: Path) -> None:
         views: list[rrb.View] = []
         for panel in PANELS:
             curves = error_curves(results, panel)
+            if not curves:
+                continue
             for curve in curves:
                 _log_curve(stream, panel, curve)
-            if curves:
-                views.append(_view(panel, curves))
+            lowest = min(float(curve.mean.min()) for curve in curves)
+            longest = max(len(curve.mean) - 1 for curve in curves)
+            # half as long again as the curves: the legend stands beside them
+            start, end = (rr.TimeRangeBoundary.absolute(seq=at) for at in (0, round(1.5 * longest)))
+            view = rrb.TimeSeriesView(
+                origin=entity_of("error", panel),
+                name=f"GT {panel}: log10 of the mean absolute error, by rollouts",
+                axis_x=rrb.TimeAxis(
+                    link="Independent", view_range=rr.TimeRange(start=start, end=end)
+                ),
+                axis_y=rrb.ScalarAxis(range=(float(np.log10(lowest)) - 0.3, 0.0)),
+                plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+            )
+            views.append(view)
         log_words(stream, "results", markdown)
-        stream.send_blueprint(_blueprint(views))
+        words = rrb.TextDocumentView(origin="/results", name="results")
+        plots = rrb.Horizontal(*views)
+        blueprint = rrb.Blueprint(
+            rrb.Vertical(plots, words, row_shares=[3, 2]) if views else words,
+            rrb.BlueprintPanel(state="hidden"),
+            rrb.SelectionPanel(state="hidden"),
+            rrb.TimePanel(state="collapsed", timeline=ROLLOUTS),
+            auto_views=False,
+            auto_layout=False,
+        )
+        stream.send_blueprint(blueprint)
 
 
 def _log_curve(stream: rr.RecordingStream, panel: str, curve: ErrorCurve) -> None:
@@ -72,32 +98,4 @@ def _send(
     index = rr.TimeColumn(ROLLOUTS, sequence=rollouts.astype(np.int64))
     stream.send_columns(
         entity, indexes=[index], columns=rr.Scalars.columns(scalars=np.log10(errors))
-    )
-
-
-def _view(panel: str, curves: list[ErrorCurve]) -> rrb.View:
-    lowest = min(float(curve.mean.min()) for curve in curves)
-    reach = (float(np.log10(lowest)) - 0.3, 0.0)
-    longest = max(len(curve.mean) - 1 for curve in curves)
-    ends = (0, round(_LEGEND_ROOM * longest))
-    start, end = (rr.TimeRangeBoundary.absolute(seq=at) for at in ends)
-    return rrb.TimeSeriesView(
-        origin=entity_of("error", panel),
-        name=f"GT {panel}: log10 of the mean absolute error, by rollouts",
-        axis_x=rrb.TimeAxis(link="Independent", view_range=rr.TimeRange(start=start, end=end)),
-        axis_y=rrb.ScalarAxis(range=reach),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
-    )
-
-
-def _blueprint(views: list[rrb.View]) -> rrb.Blueprint:
-    words = rrb.TextDocumentView(origin="/results", name="results")
-    plots = rrb.Horizontal(*views)
-    return rrb.Blueprint(
-        rrb.Vertical(plots, words, row_shares=[3, 2]) if views else words,
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=ROLLOUTS),
-        auto_views=False,
-        auto_layout=False,
     )

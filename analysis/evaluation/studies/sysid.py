@@ -35,7 +35,6 @@ from tunenet_logs.terminal import Progress
 
 # ---- Input of `mujoco.sysid` from a log: model sensors, samples, and a first state.
 
-
 STATES, COMMANDS = "/joint_states", "/joint_commands.position"
 
 _START_S = 0.1  # the first samples, by which the first state is told
@@ -88,26 +87,17 @@ def measured(episode: Episode, spec: Any, *, with_efforts: bool) -> Measured:
             columns.append(signal.values[:, at])
             weights[name] = 1.0 / float(spread[at])
     positions, velocities = (episode.signals[f"{STATES}.{one}"] for one in ("position", "velocity"))
-    start = [_state(positions, velocities, joint) for joint in joints]
-    reach = [_reach(positions, velocities, joint) for joint in joints]
-    begin_ns = int(positions.stamps_ns[0])
-    return Measured(
-        positions.seconds,
-        np.column_stack(columns),
-        weights,
-        np.array(start).T.ravel(),
-        np.array(reach).T.ravel(),
-        _commands(episode, joints, begin_ns),
+    start, reach = (
+        np.array([of(positions, velocities, joint) for joint in joints]).T.ravel()
+        for of in (_state, _reach)
     )
-
-
-def _commands(episode: Episode, joints: list[str], begin_ns: int) -> HeldCommands | None:
-    signal = episode.signals.get(COMMANDS)
-    if signal is None:
-        return None
-    order = [signal.columns.index(joint) for joint in joints]
-    seconds = (signal.stamps_ns - begin_ns).astype(np.float64) * 1e-9
-    return HeldCommands(seconds, signal.values[:, order])
+    commands, signal = None, episode.signals.get(COMMANDS)
+    if signal is not None:
+        seconds = (signal.stamps_ns - int(positions.stamps_ns[0])).astype(np.float64) * 1e-9
+        order = [signal.columns.index(joint) for joint in joints]
+        commands = HeldCommands(seconds, signal.values[:, order])
+    samples = np.column_stack(columns)
+    return Measured(positions.seconds, samples, weights, start, reach, commands)
 
 
 def _state(positions: Signal, velocities: Signal, joint: str) -> tuple[float, float]:
@@ -135,39 +125,23 @@ def _reach(positions: Signal, velocities: Signal, joint: str) -> tuple[float, fl
 
 def _posed(pose: Signal, spec: Any) -> Measured:
     """Convert a free body's positions; the height and the turn at the start are the model's."""
-    body = pose.name.split("/")[1]
     frame, body_type = mujoco().mjtSensor.mjSENS_FRAMEPOS, mujoco().mjtObj.mjOBJ_BODY
+    body = pose.name.split("/")[1]
     spec.add_sensor(name="place", type=frame, objtype=body_type, objname=body)
     first = pose.seconds <= _START_S
     curve = np.polynomial.polynomial.polyfit(pose.seconds[first], pose.values[first, :2], 2)
-    reach = np.array([0.02, 0.02, 0.5, 0.5])
-    return Measured(
-        pose.seconds, pose.values, None, np.asarray(curve[:2].ravel(), np.float64), reach, None
-    )
+    start, reach = np.asarray(curve[:2].ravel(), np.float64), np.array([0.02, 0.02, 0.5, 0.5])
+    return Measured(pose.seconds, pose.values, None, start, reach, None)
 
 
 # ---- Estimate with `mujoco.sysid`.
 
-
-# Modules that `mujoco.sysid` imports; without one of them its names are missing.
-NEEDED = ("absl", "colorama", "tabulate", "yaml")
-
 _PLACE = re.compile(r"(?P<kind>[a-z]+)/(?P<name>.+)\.(?P<field>[a-z]+)(?P<index>\[\d\])?")
 _DELAY = "delay/commands"
 _START = "start"
-# Step of finite differences; at the usual 1.5e-8 the solver's own tolerance is seen.
-_STEP = 1e-6
 
 # Unit in which a delay is tuned, so that its differences are over 2 ms, and not within a step.
 _DELAY_UNIT_S = 2000.0
-
-# Change of the parameters, over all of them, at which it ends: 2 microseconds of a delay.
-_MIN_CHANGE = 1e-9
-
-# `_STEP` where a contact is simulated, whose small hops are other ones at any other value.
-_CONTACT_STEP = 5e-3
-
-_MAX_ITERATIONS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +154,7 @@ class ToolboxAnswer:
     seconds: float  # CPU time that it took
 
 
-def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1) -> ToolboxAnswer:
+def toolbox_answer(log: ModelLog, *, tunes_start: bool = False) -> ToolboxAnswer:
     """Estimate the log's parameters with `mujoco.sysid`.
 
     Residuals are over each signal's standard deviation, which the noise is in proportion to.
@@ -192,12 +166,18 @@ def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1
         tunes_start: whether the state at the log's start is estimated with the parameters, for
             which the toolbox has no means of its own but a rollout that is handed to it; else it
             is what the log's first samples say.
-        threads: that simulate.
 
     Raises:
         NotFoundError: a module that the toolbox imports is not installed.
     """
-    sysid = _toolbox()
+    # without one of these, names of `mujoco.sysid` are missing
+    missing = [one for one in ("absl", "colorama", "tabulate", "yaml") if find_spec(one) is None]
+    if missing:
+        raise NotFoundError(
+            f"mujoco.sysid cannot be imported without {', '.join(missing)}",
+            "pip install absl-py colorama PyYAML tabulate",
+        )
+    sysid = import_module("mujoco.sysid")
     began_s = time.process_time()
     spec = mujoco().MjSpec.from_string(log.model)
     delayed = any(text.startswith(_DELAY) for text in log.tune)
@@ -211,14 +191,9 @@ def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1
     model = spec.compile()
     ticks_s = np.arange(seen.count(model.opt.timestep) + 1) * model.opt.timestep
     samples = sysid.TimeSeries.from_names(seen.seconds, seen.values, model)
-    sequence = sysid.ModelSequences(
-        "log",
-        spec,
-        "log",
-        _full_state(sysid, model, seen.start),
-        sysid.TimeSeries(ticks_s, np.zeros((len(ticks_s), model.nu))),
-        samples,
-    )
+    controls = sysid.TimeSeries(ticks_s, np.zeros((len(ticks_s), model.nu)))
+    start = _full_state(sysid, model, seen.start)
+    sequence = sysid.ModelSequences("log", spec, "log", start, controls, samples)
     transform = sysid.SignalTransform(normalize=False)
     if seen.weights is not None:
         transform.set_sensor_weights(seen.weights)
@@ -227,7 +202,7 @@ def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1
         models_sequences=[sequence],
         modify_residual=transform.apply,
         custom_rollout=rollouts,
-        n_threads=threads,
+        n_threads=1,
         resample_true=False,
     )
     found, result = sysid.optimize(
@@ -235,9 +210,11 @@ def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1
         residual,
         "mujoco",
         verbose=False,
-        max_iters=_MAX_ITERATIONS,
-        eps=_STEP if seen.weights is not None else _CONTACT_STEP,
-        xtol=_MIN_CHANGE,
+        max_iters=100,
+        # Step of finite differences. At the usual 1.5e-8 the solver's own tolerance is seen; a
+        # contact's small hops are other ones at any other value.
+        eps=1e-6 if seen.weights is not None else 5e-3,
+        xtol=1e-9,  # change over all parameters at which it ends: 2 microseconds of a delay
         x_scale="jac",
         output=io.StringIO(),
     )
@@ -247,13 +224,10 @@ def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1
     units = np.array([_DELAY_UNIT_S if one == _DELAY else 1.0 for one in addresses])
     values = units * found.as_vector()[: len(units)]
     halves = units * halves[: len(units)]
-    ends = np.column_stack([values - halves, values + halves])
-    intervals = {
-        one: (low, high) for one, (low, high) in zip(addresses, ends.tolist(), strict=True)
-    }
+    ends = map(tuple, np.column_stack([values - halves, values + halves]).tolist())
     return ToolboxAnswer(
         dict(zip(addresses, values.tolist(), strict=True)),
-        intervals,
+        dict(zip(addresses, ends, strict=True)),
         rollouts.count,
         time.process_time() - began_s,
     )
@@ -288,7 +262,9 @@ class _Rollouts:
             count = seen.count(step_s)
             control = np.zeros((count + 1, model.nu))
             if seen.commands is not None:
-                delay_s = _seconds(parameters[_DELAY].value) if _DELAY in parameters else 0.0
+                delay_s = 0.0
+                if _DELAY in parameters:
+                    delay_s = _DELAY_UNIT_S * float(parameters[_DELAY].value[0])
                 control = seen.commands.over_steps(step_s, count + 1, delay_s)
             controls.append(series(np.arange(count + 1) * step_s, control))
             if _START in parameters:
@@ -304,26 +280,12 @@ class _Rollouts:
         return rolled.replace(sensordata=series)
 
 
-def _toolbox() -> Any:
-    missing = [name for name in NEEDED if find_spec(name) is None]
-    if missing:
-        raise NotFoundError(
-            f"mujoco.sysid cannot be imported without {', '.join(missing)}",
-            "pip install absl-py colorama PyYAML tabulate",
-        )
-    return import_module("mujoco.sysid")
-
-
 def _full_state(sysid: Any, model: Any, start: Array) -> Array:
     """Return the simulator's state: of joints, or of a body in the plane."""
     places, speeds = np.split(np.asarray(start), 2)
     positions, velocities = np.array(model.qpos0), np.zeros(model.nv)
     positions[: len(places)], velocities[: len(speeds)] = places, speeds
     return sysid.create_initial_state(model, positions, velocities)
-
-
-def _seconds(delay: Array) -> float:
-    return _DELAY_UNIT_S * float(delay[0])
 
 
 def _parameter(sysid: Any, spec: Any, text: str) -> Any:
@@ -386,14 +348,18 @@ def rows_of(trial: MachineTrial) -> list[Row]:
     log = machine.log(trial.seed, trial.noise)
     if trial.section == "tuned":
         return _tuned(trial, log)
-    if trial.section == "toolbox":
-        return _by_toolbox(trial, log)
     if trial.section == "network":
         return _first_steps(trial, log)
-    models = machine.wrong(log)
+    if trial.section == "toolbox":
+        answer = toolbox_answer(log, tunes_start=True)
+        found = [
+            _estimate(address, truth, answer.values[address], *answer.intervals[address])
+            for address, truth in log.truth.items()
+        ]
+        return _rows(trial, found, "", answer.rollouts, answer.seconds, "")
     return [
         row
-        for what, model in models.items()
+        for what, model in machine.wrong(log).items()
         for row in _tuned(trial, replace(log, model=model), what)
     ]
 
@@ -457,18 +423,6 @@ def _estimate(
     return {"address": address, **{name: float(number) for name, number in numbers.items()}}
 
 
-def _by_toolbox(trial: MachineTrial, log: ModelLog) -> list[Row]:
-    answer = toolbox_answer(log, tunes_start=True)
-    found = [
-        _estimate(address, truth, answer.values[address], *answer.intervals[address])
-        for address, truth in log.truth.items()
-    ]
-    return _rows(trial, found, "", answer.rollouts, answer.seconds, "")
-
-
-_STARTS = 20  # random places in the ranges from which the network makes its first step
-
-
 def _first_steps(trial: MachineTrial, log: ModelLog) -> list[Row]:
     """Take one step of the network from each of many random starts: a row a start and value."""
     from tunenet_logs.analysis.estimators.methods import next_values
@@ -484,7 +438,7 @@ def _first_steps(trial: MachineTrial, log: ModelLog) -> list[Row]:
         seconds = time.process_time() - began_s
     rng = np.random.default_rng((trial.seed, 77))
     found: list[Row] = []
-    for _ in range(_STARTS):
+    for _ in range(20):
         start = np.array([rng.uniform(*one.training_range) for one in parameters])
         seen = problem.evaluate(start).observation.values
         stepped = next_values(model, problem, start, seen)
@@ -499,7 +453,6 @@ def _first_steps(trial: MachineTrial, log: ModelLog) -> list[Row]:
 
 
 # ---- Run: section by section.
-
 
 NOISES = (1.0, 0.5, 2.0)  # times the noise that the logs usually have
 
@@ -533,7 +486,6 @@ def trials(section: str, seeds: Sequence[int], logs: int) -> list[MachineTrial]:
 
 
 # ---- Tables for a terminal.
-
 
 _HEADS = {
     "tuned": "Tuned by the default method: logs of machines that SciPy integrates.",

@@ -18,16 +18,13 @@ from tunenet_logs.analysis.evaluation.study import Order, Part, Row, figure, lis
 from tunenet_logs.analysis.evaluation.worlds.ball import GRAVITY_M_S2
 from tunenet_logs.analysis.experiment import record_of
 from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.analysis.parallel import Piece
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.terminal import Progress
 
 # ---- A ball in a hand, in the air and on the ground.
 
-
 _STEP_S = 1 / 20_000  # of what is written down, and of what a hand does
-_LONGEST_S = 3.0  # of a flight: none is as long
 _MIN_DRAG_1_M = 1e-7
 _MAX_RESTITUTION = 0.99
 
@@ -72,7 +69,8 @@ class _World:
 
     def fly(self, caught: Caught | None = None) -> None:
         """Fly to the ground, or until the ball is caught."""
-        since = np.arange(round(_LONGEST_S / _STEP_S), dtype=np.float64) * _STEP_S
+        # no flight is as long
+        since = np.arange(round(3.0 / _STEP_S), dtype=np.float64) * _STEP_S
         heights, speeds = flight(self.height_m, self.speed_m_s, self.drag_1_m, since)
         landed = (heights < 0) & (speeds < 0)
         ended = landed if caught is None else landed | caught(since, heights, speeds)
@@ -169,7 +167,6 @@ KINDS: Mapping[str, Callable[[np.random.Generator, _World], None]] = {
     "edge": _edge,
     "tossed": _tossed,
 }
-_RATES_HZ = (60.0, 120.0, 200.0, 360.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +192,7 @@ def throw(rng: np.random.Generator, kind: str, noise_m: float = 0.001) -> Throw:
         rng.uniform(0.7, 1.5),
     )
     KINDS[kind](rng, world)
-    rate_hz = float(rng.choice(_RATES_HZ))
+    rate_hz = float(rng.choice((60.0, 120.0, 200.0, 360.0)))
     times = np.arange(1, len(world.heights) + 1) * _STEP_S
     seconds = np.arange(times[0] + rng.random() / rate_hz, times[-1], 1 / rate_hz)
     aside = rng.uniform(-0.8, 0.8) if kind in ("edge", "thrown", "bouncing") else 0.05
@@ -210,8 +207,6 @@ def throw(rng: np.random.Generator, kind: str, noise_m: float = 0.001) -> Throw:
 
 # ---- Run: throws of each kind in turn.
 
-
-_NEAR_S = 0.03  # of an impact: a bounce that is found farther from all is none
 NOISES_M = {"usual": 0.001, "half": 0.0005, "twice": 0.002}  # of each coordinate, by the section
 
 
@@ -219,8 +214,8 @@ def run(order: Order, progress: Progress) -> Iterator[Part]:
     """Tune throws, a table for each noise."""
     for section in order.sections:
         noise_m = NOISES_M[section]
-        cases = [Piece((noise_m, *one), len(one[1])) for one in order.portions(10)]
-        found = scored(tuned_throws, {"": cases}, order, progress, ("tuning", "throw"))[""]
+        cases = {"": order.pieces(10, noise_m)}
+        found = scored(tuned_throws, cases, order, progress, ("tuning", "throw"))[""]
         kinds = {kind: [one for one in found if one["kind"] == kind] for kind in KINDS}
         rows = [line_of(kind, own) for kind, own in [*kinds.items(), ("all", found)]]
         title = (
@@ -246,7 +241,8 @@ def _tuned(made: Throw) -> Row:
     found = record_of(tuning).rebounds
     near = [(one, made.hit_near(one.impact_s)) for one in found if made.hits]
     row["bounces"] = [abs(one.restitution - hit.restitution) for one, hit in near]
-    right = sum(abs(hit.seconds - one.impact_s) <= _NEAR_S for one, hit in near)
+    # a bounce that is found farther from all impacts is none
+    right = sum(abs(hit.seconds - one.impact_s) <= 0.03 for one, hit in near)
     row["false"] = len(found) - right
     if tuning.verdict == "ok" and made.hits and tuning.interval95 is not None:
         truth = made.hit_near(tuning.detection.drop.impact_s).restitution

@@ -40,32 +40,8 @@ from tunenet_logs.analysis.evaluation.study import (
     shown,
     table,
 )
-from tunenet_logs.analysis.evaluation.worlds.camera import (
-    FAULT_BALLS,
-    FAULT_SET,
-    NARROW,
-    NOISES_PX,
-    TABLE_TENNIS_DRAG_1_M,
-    TABLE_TENNIS_RADIUS_M,
-    TRACK_FAULTS,
-    TRACK_SETS,
-    WIDE,
-    B,
-    BallRanges,
-    TrackScene,
-    TrackSet,
-    draw_scene,
-    film,
-    upright,
-)
-from tunenet_logs.analysis.evaluation.worlds.clips import (
-    VERSIONS,
-    ClipOrder,
-    draw_clip,
-    places_px,
-    write_clip,
-    write_versions,
-)
+from tunenet_logs.analysis.evaluation.worlds import camera
+from tunenet_logs.analysis.evaluation.worlds import clips as films
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece
@@ -78,15 +54,11 @@ from tunenet_logs.terminal import Progress
 # ---- Clips: rendered, written, read and tuned.
 
 
-COUNT = 100  # clips of a full run, as filmed
-TRANSFORMED = 30  # likewise, in all `VERSIONS`
-
-
 def clip_row(case: tuple[int, int]) -> list[Row]:
     """Tune the clip of a seed and an index."""
     order = _drawn(*case)
     with tempfile.TemporaryDirectory() as folder:
-        tuning = tune_log(write_clip(order, Path(folder)), TuneOptions())
+        tuning = tune_log(films.write_clip(order, Path(folder)), TuneOptions())
     off_px, found = None, 0.0
     if tuning.detection is not None:
         off = track_errors_px(order, tuning.detection.film.track)
@@ -125,25 +97,25 @@ def transformed_row(case: tuple[int, int]) -> list[Row]:
     return [row]
 
 
-def _drawn(seed: int, index: int) -> ClipOrder:
+def _drawn(seed: int, index: int) -> films.ClipOrder:
     import cv2
 
     cv2.setNumThreads(1)  # there is a process for each core
-    return draw_clip(seed, index)
+    return films.draw_clip(seed, index)
 
 
-def version_estimates(order: ClipOrder) -> tuple[float | None, ...]:
+def version_estimates(order: films.ClipOrder) -> tuple[float | None, ...]:
     """Return the estimate from each of `VERSIONS`."""
     with tempfile.TemporaryDirectory() as folder:
-        paths = write_versions(order, Path(folder), VERSIONS)
+        paths = films.write_versions(order, Path(folder), films.VERSIONS)
         return tuple(_value(tune_log(path, TuneOptions())) for path in paths)
 
 
-def track_errors_px(order: ClipOrder, track: Track) -> Array:
+def track_errors_px(order: films.ClipOrder, track: Track) -> Array:
     """Return the errors of tracked centres, shape (T, 2) [px], NaN before the release."""
     seconds = (track.stamps_ns - track.stamps_ns[0]) * 1e-9
     rows = np.round(seconds * order.rate_hz).astype(int)
-    off = track.places_px - places_px(order)[rows]
+    off = track.places_px - films.places_px(order)[rows]
     off[seconds < order.held_s] = np.nan
     return off
 
@@ -170,15 +142,7 @@ def tune_track(track: Track, options: TuneOptions) -> Tuning:
 
 # ---- Tables on tracks: which tracks are drawn, and what each is tuned to.
 
-
 VERDICTS = ("ok", "suspect", "rejected")
-# Of a row of outcomes: `shown` is 1 where the tuning tells its interval.
-OUTCOME_COLUMNS = ("truth", "value", "low", "high", "shown", "verdict")
-
-TABLE_TENNIS = "table-tennis"  # its name among `tunenet_logs.recorders.simulators.known.BALLS`
-_SLOPES = BallRanges((0.3, 0.9), slope=(0.05, 0.2))
-_LIGHT = BallRanges((0.3, 0.95), drag_1_m=TABLE_TENNIS_DRAG_1_M)
-_LIGHT_SET = TrackSet("light", (0.3, 2.0), TABLE_TENNIS_RADIUS_M)
 
 
 @dataclass(frozen=True)
@@ -186,11 +150,11 @@ class TrackKind:
     """Tracks of one kind: a line of a table."""
 
     label: str  # in tables
-    tracks: TrackSet  # the rig
-    balls: BallRanges  # what is dropped
+    tracks: camera.TrackSet  # the rig
+    balls: camera.BallRanges  # what is dropped
     noises_px: tuple[float, ...]  # standard deviations of a coordinate, one for each track, in turn
     fault: str = ""  # name of the `TrackFault`, "" for good tracks
-    given_ball: str = ""  # name of the ball that the tuning is given, "" for none
+    is_named: bool = False  # whether the tuning is told that the ball is a table-tennis ball
 
 
 @dataclass(frozen=True)
@@ -202,60 +166,52 @@ class Section:
     kinds: tuple[TrackKind, ...]  # its lines
 
 
-def _good(tracks: TrackSet) -> tuple[TrackKind, ...]:
-    return tuple(
-        TrackKind(
-            f"{tracks.name}, {noise:g} px, {low:g} to {high:g}",
-            tracks,
-            BallRanges((low, high)),
-            (noise,),
-        )
-        for low, high in (NARROW, WIDE)
-        for noise in NOISES_PX
-    )
-
-
-def _light(given_ball: str, noise_px: float) -> TrackKind:
-    return TrackKind(
-        f"{'given' if given_ball else 'not given'}, {noise_px:g} px",
-        _LIGHT_SET,
-        _LIGHT,
-        (noise_px,),
-        given_ball=given_ball,
-    )
-
-
 SETS = tuple(
-    Section(f"set-{tracks.name}", title, _good(tracks))
-    for tracks, title in zip(
-        TRACK_SETS,
-        (
-            "Set A: the paper's rig; set, noise, restitution",
-            "Set B: falls of 0.2 to 5 m before any camera, 60 Hz",
-            "Set C: as B, 6 to 150 frames a fall, releases unseen, gaps",
+    Section(
+        f"set-{rig.name}",
+        title,
+        tuple(
+            TrackKind(f"{rig.name}, {noise:g} px, {ends}", rig, camera.BallRanges(one), (noise,))
+            for one, ends in ((camera.NARROW, "0.3 to 0.7"), (camera.WIDE, "0.1 to 0.95"))
+            for noise in camera.NOISES_PX
         ),
-        strict=True,
+    )
+    for rig, title in (
+        (camera.A, "Set A: the paper's rig; set, noise, restitution"),
+        (camera.B, "Set B: falls of 0.2 to 5 m before any camera, 60 Hz"),
+        (camera.C, "Set C: as B, 6 to 150 frames a fall, releases unseen, gaps"),
     )
 )
 SLOPE = Section(
     "slope",
     "Restitution that falls with speed (p .05 to .2), set B, .3 to .9 at the first impact",
     tuple(
-        TrackKind(f"{noise:g} px", replace(B, name="slope"), _SLOPES, (noise,))
-        for noise in NOISES_PX
+        TrackKind(
+            *(f"{noise:g} px", replace(camera.B, name="slope")),
+            *(camera.BallRanges((0.3, 0.9), slope=(0.05, 0.2)), (noise,)),
+        )
+        for noise in camera.NOISES_PX
     ),
 )
 DRAG = Section(
     "drag",
     "Table-tennis ball in air, its mass and size given or not, falls of 0.3 to 2 m, .3 to .95",
-    (*(_light(TABLE_TENNIS, noise) for noise in NOISES_PX), _light("", NOISES_PX[0])),
+    tuple(
+        TrackKind(
+            f"{given}, {noise:g} px",
+            camera.TrackSet("light", (0.3, 2.0), camera.TABLE_TENNIS_RADIUS_M),
+            *(camera.BallRanges((0.3, 0.95), drag_1_m=camera.TABLE_TENNIS_DRAG_1_M), (noise,)),
+            is_named=given == "given",
+        )
+        for given, noise in (("given", 0.3), ("given", 1.0), ("not given", 0.3))
+    ),
 )
 BAD = Section(
     "bad",
     "Bad tracks: falls of 0.2 to 5 m, .3 to .9, 0.3 and 1 px in turn",
     tuple(
-        TrackKind(fault.label, FAULT_SET, FAULT_BALLS, NOISES_PX, fault=fault.name)
-        for fault in TRACK_FAULTS
+        TrackKind(fault.label, camera.FAULT_SET, camera.FAULT_BALLS, camera.NOISES_PX, fault.name)
+        for fault in camera.TRACK_FAULTS
     ),
 )
 TRACK_SECTIONS = (*SETS, SLOPE, DRAG, BAD)  # in the order in which they are run and printed
@@ -264,14 +220,13 @@ TRACK_SECTIONS = (*SETS, SLOPE, DRAG, BAD)  # in the order in which they are run
 # ---- Cramér-Rao bound of any fit of a filmed ball that knows that it keeps its restitution.
 
 
-_ROUNDING_PX2 = 1 / 12
-
-
-def bound_row(tracks: TrackSet, noise_px: float, balls: BallRanges, order: Order) -> Row:
+def bound_row(
+    tracks: camera.TrackSet, noise_px: float, balls: camera.BallRanges, order: Order
+) -> Row:
     """Compute the least mean error and median width of scenes that no other section has."""
     sds = np.array(
         [
-            least_sd(draw_scene(tracks, balls, noise_px, -seed, number))
+            least_sd(camera.draw_scene(tracks, balls, noise_px, -seed, number))
             for seed in order.seeds
             for number in range(order.targets_of("video", "bound"))
         ]
@@ -284,15 +239,15 @@ def bound_row(tracks: TrackSet, noise_px: float, balls: BallRanges, order: Order
     }
 
 
-def least_sd(scene: TrackScene) -> float:
+def least_sd(scene: camera.TrackScene) -> float:
     """Return the standard deviation of the restitution by an efficient estimator."""
-    ends_m = upright(np.array([0.0, scene.ball.drop_m]))
+    ends_m = camera.upright(np.array([0.0, scene.ball.drop_m]))
     places, depths = scene.view.image_from_world(ends_m), scene.view.depths_m(ends_m)
     fall_s, span_px = scene.ball.fall_s, float(np.linalg.norm(places[1] - places[0]))
     truth = [scene.ball.restitution, fall_s, np.log(fall_s), 0.0, span_px]
     truth += [np.log(depths[0] / depths[1]), 0.0, 0.0, 0.0]
     seconds = scene.seconds[~scene.lost]
-    noise_px = float(np.sqrt(scene.noise_px**2 + _ROUNDING_PX2))
+    noise_px = float(np.sqrt(scene.noise_px**2 + 1 / 12))  # of a coordinate that is rounded
     samples = BounceSamples(seconds, np.zeros(len(seconds)), noise_px)
     slopes = samples.jacobian(np.array(truth, float), IDEAL)
     information = slopes.T @ slopes / noise_px**2
@@ -302,9 +257,7 @@ def least_sd(scene: TrackScene) -> float:
 
 # ---- Run, and figures of a kind of track: errors, coverage and verdicts.
 
-
 WRONG = 0.05  # of restitution: a larger error is one that a user would mind
-_PORTION = 10  # tracks in a portion: few, so that the processes end together
 
 
 def run(order: Order, progress: Progress) -> Iterator[Part]:
@@ -318,26 +271,21 @@ def run(order: Order, progress: Progress) -> Iterator[Part]:
             "Fractions in percent. Errors and intervals are of all answers: verdict ok or "
             "suspect.\nA dash: there is none.",
         )
-    good: dict[str, list[Array]] = {}
+    good: list[Array] = []
     for section in tracks:
-        cases = {
-            kind.label: [
-                Piece((kind, *one), len(one[1]), kind.label) for one in order.portions(_PORTION)
-            ]
-            for kind in section.kinds
-        }
+        cases = {one.label: order.pieces(10, one, name=one.label) for one in section.kinds}
         done = scored(track_outcomes, cases, order, progress, (section.name, "track"))
         outcomes = {label: np.array(rows) for label, rows in done.items()}
         rows = [{"tracks": label, **figures_of(some)} for label, some in outcomes.items()]
         yield Part(section.name, section_table(section, rows), rows)
         if section in SETS:
-            good[section.name] = list(outcomes.values())
-            if len(good) == len(SETS):
-                yield Part("", overall([some for one in good.values() for some in one]))
+            good += outcomes.values()
+            if len(good) == sum(len(one.kinds) for one in SETS):
+                yield Part("", overall(good))
     fraction = min(order.targets / STUDIES["video"].targets, 1.0)
     for name, full, work, tabulate in (
-        ("clips", COUNT, clip_row, clip_table),
-        ("transformed", TRANSFORMED, transformed_row, transformed_table),
+        ("clips", 100, clip_row, clip_table),
+        ("transformed", 30, transformed_row, transformed_table),
     ):
         if name in order.sections:
             count = math.ceil(full * fraction)
@@ -346,44 +294,41 @@ def run(order: Order, progress: Progress) -> Iterator[Part]:
             yield Part(name, tabulate(rows), rows)
     if "bound" in order.sections:
         rows = [
-            bound_row(tracks, noise_px, BallRanges(one), order)
-            for tracks in TRACK_SETS
-            for noise_px in NOISES_PX
-            for one in (NARROW, WIDE)
+            bound_row(tracks, noise_px, camera.BallRanges(one), order)
+            for tracks in camera.TRACK_SETS
+            for noise_px in camera.NOISES_PX
+            for one in (camera.NARROW, camera.WIDE)
         ]
         yield Part("bound", listed(rows, "Cramér-Rao bound of a fit of ideal balls"), rows)
 
 
 def track_outcomes(case: tuple[TrackKind, int, range]) -> list[list[float]]:
-    """Tune tracks of a kind and a seed: see `OUTCOME_COLUMNS`, shape (N, 6).
+    """Tune tracks of a kind and a seed; return the rows of `figures_of`, shape (N, 6).
 
     NaN stands for the truth of a track without a bounce, and for a value or an interval that the
     tuning does not give.
     """
     kind, seed, numbers = case
-    return [_outcome(kind, seed, number) for number in numbers]
-
-
-def _outcome(kind: TrackKind, seed: int, number: int) -> list[float]:
-    noise_px = kind.noises_px[number % len(kind.noises_px)]
-    scene = draw_scene(kind.tracks, kind.balls, noise_px, seed, number)
-    truth, track = scene.ball.restitution, None
-    if kind.fault:
-        fault = next(one for one in TRACK_FAULTS if one.name == kind.fault)
-        truth, track = truth if fault.bounces else np.nan, fault.track(scene)
-    options = TuneOptions(ball=BALLS[kind.given_ball]) if kind.given_ball else TuneOptions()
-    tuning = tune_track(film(scene) if track is None else track, options)
-    value, low, high = np.nan, np.nan, np.nan
-    if tuning.estimate is not None:
-        value = tuning.estimate[0]
-        if tuning.trace is not None and tuning.trace.fit is not None:
-            low, high = tuning.trace.fit.interval95[0]
-    shown = tuning.interval95 is not None
-    return [truth, value, low, high, shown, VERDICTS.index(tuning.verdict)]
+    options = TuneOptions(ball=BALLS["table-tennis"]) if kind.is_named else TuneOptions()
+    fault = next((one for one in camera.TRACK_FAULTS if one.name == kind.fault), None)
+    outcomes: list[list[float]] = []
+    for number in numbers:
+        noise_px = kind.noises_px[number % len(kind.noises_px)]
+        scene = camera.draw_scene(kind.tracks, kind.balls, noise_px, seed, number)
+        truth = scene.ball.restitution if fault is None or fault.bounces else np.nan
+        tuning = tune_track(camera.film(scene) if fault is None else fault.track(scene), options)
+        value, low, high = np.nan, np.nan, np.nan
+        if tuning.estimate is not None:
+            value = tuning.estimate[0]
+            if tuning.trace is not None and tuning.trace.fit is not None:
+                low, high = tuning.trace.fit.interval95[0]
+        is_shown = tuning.interval95 is not None
+        outcomes.append([truth, value, low, high, is_shown, VERDICTS.index(tuning.verdict)])
+    return outcomes
 
 
 def figures_of(outcomes: Array) -> Row:
-    """Compute the figures of outcomes: see `OUTCOME_COLUMNS`, shape (N, 6)."""
+    """Compute the figures of rows (truth, value, interval, whether it is told, verdict), (N, 6)."""
     truth, value, low, high, is_shown, verdict = outcomes.T
     errors, answered = value - truth, np.isfinite(value)
     off = np.where(np.isfinite(truth), np.abs(errors), np.inf)
@@ -440,7 +385,7 @@ def transformed_table(rows: Sequence[Row]) -> str:
     cells = [str(len(rows)), str(whole), "", *_error_cells(spreads)]
     return table(
         [["clips", "answered", "", "mean", "median", "95 %", "worst"], cells],
-        f"Spread of the answers for one clip: {', '.join(VERSIONS)}",
+        f"Spread of the answers for one clip: {', '.join(films.VERSIONS)}",
     )
 
 

@@ -22,10 +22,7 @@ from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 # ---- Motions: each joint along a sum of sines, from rest to rest.
 
 _TERMS = 3  # sines of a joint
-_MIN_S, _MAX_S = 6.0, 10.0  # of a motion
-_LOWEST_RAD, _MAX_SPAN_RAD = -2.8, 5.6  # of a joint, within its own limits
-_MAX_RAD_S = 1.5  # of a joint, within its own limit
-_LOOKS = 1000  # times at which its speed is looked at
+
 _EASING_S = 1.0  # how long starting and stopping take
 
 
@@ -43,19 +40,19 @@ class StrangerMotion:
     def drawn(cls, model: Any, rng: np.random.Generator) -> StrangerMotion:
         """Draw a motion of 6 to 10 s within the model's limits of position and speed."""
         shape = (_TERMS, model.nq)
-        low = np.maximum(model.lowerPositionLimit, _LOWEST_RAD)
-        high = np.minimum(model.upperPositionLimit, low + _MAX_SPAN_RAD)
-        length_s = float(rng.uniform(_MIN_S, _MAX_S))
+        low = np.maximum(model.lowerPositionLimit, -2.8)
+        high = np.minimum(model.upperPositionLimit, low + 5.6)
+        length_s = float(rng.uniform(6.0, 10.0))
         rank = np.arange(1, _TERMS + 1)[:, None]
         rates = 2 * np.pi * rank / length_s
         rates = rates * rng.uniform(0.8, 1.2, shape)
         amplitudes = rng.normal(0.0, 0.5, shape) / rank
-        fastest = np.minimum(model.velocityLimit, _MAX_RAD_S)
+        fastest = np.minimum(model.velocityLimit, 1.5)
         reach = np.minimum(np.sum(np.abs(amplitudes), axis=0), (high - low) / 2.2)
         amplitudes *= reach / np.maximum(np.sum(np.abs(amplitudes), axis=0), 1e-9)
         middle = rng.uniform(low + reach, high - reach)
         motion = cls(middle, amplitudes, rates, rng.uniform(0, 6.28, shape), length_s)
-        seconds = np.linspace(0.0, length_s, _LOOKS)
+        seconds = np.linspace(0.0, length_s, 1000)
         steepest = np.abs(np.gradient(motion.at(seconds), seconds, axis=0)).max(axis=0)
         slower = np.minimum(1.0, fastest / np.maximum(steepest, 1e-9))
         return replace(motion, amplitudes=amplitudes * slower)
@@ -73,9 +70,6 @@ class StrangerMotion:
 GRAVITY_M_S2 = 9.80665  # standard gravity
 _FINE_HZ = 400.0  # at which torques are computed, to be reported late and at other rates
 DRAW = 0x57A6  # makes a seed this world's own
-_MAX_NM = 500.0  # a description without limits may say more
-# Of a payload, and how far its centre is from the tool frame's origin.
-_MAX_KG, _OFF_CENTRE_M = 2.5, 0.015
 
 
 @dataclass(frozen=True)
@@ -168,9 +162,9 @@ def stranger_log(urdf: Path, tool: str, seed: int, troubles: Troubles) -> Strang
     """Draw an arm, a motion and a payload of 0 to 2.5 kg, its centre 1.5 cm off."""
     rng = np.random.default_rng([seed, DRAW])
     arm = StrangerArm.drawn(urdf, tool, rng, troubles)
-    mass_kg = float(rng.uniform(0.0, _MAX_KG))
+    mass_kg = float(rng.uniform(0.0, 2.5))
     away = rng.standard_normal(3)
-    centre_m = _OFF_CENTRE_M * away / np.linalg.norm(away)
+    centre_m = 0.015 * away / np.linalg.norm(away)
     motion = StrangerMotion.drawn(arm.model, rng)
     rate_hz = float(rng.choice([50.0, 80.0, 100.0, 125.0]))
     empty = arm.run(motion, rate_hz, None, rng, before=True)
@@ -205,7 +199,7 @@ class StrangerArm:
         down = np.array([np.sin(tilt[0]), np.sin(tilt[1]), 0.0])
         down[2] = -np.sqrt(1 - down @ down)
         model.gravity.linear = GRAVITY_M_S2 * down
-        limit_nm = np.minimum(model.effortLimit, _MAX_NM)
+        limit_nm = np.minimum(model.effortLimit, 500.0)  # a description without limits may say more
         names = ("offset", "drift", "warming", "gain")
         draws = {name: rng.standard_normal(count) for name in names}
         even = ("dry", "viscous", "peak", "slow", "load", "ripple", "hoses", "rotor", "lag", "lean")

@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.analysis.evaluation.worlds.ball import (
+    START_NS,
     BounceHistory,
     BounceOrder,
     Range,
     RealBall,
+    ball_log,
     bounced,
 )
 from tunenet_logs.analysis.evaluation.worlds.camera import SIZES_PX
@@ -32,7 +34,7 @@ from tunenet_logs.analysis.evaluation.worlds.clips import (
     frame_seconds,
     mp4,
 )
-from tunenet_logs.episode import Array, Channel, Episode, EpisodeInfo, Signal, Sound
+from tunenet_logs.episode import Array, Channel, Episode, Sound
 from tunenet_logs.recorders.simulators.known import Ball
 
 # ---- Music that nobody wrote: chords, a melody and drums on a beat.
@@ -127,8 +129,6 @@ _VOWELS_HZ = (
     *((570, 840, 2410), (660, 1720, 2410), (440, 1020, 2240), (490, 1350, 1690)),
 )
 
-_WIDTHS_HZ = (70.0, 100.0, 150.0)
-
 
 def speech(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
     """Synthesise somebody who talks, about as loud as 1 at the loudest."""
@@ -136,28 +136,22 @@ def speech(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
     pitch_hz, size = rng.uniform(90, 230), rng.uniform(0.95, 1.2)
     at_s = rng.uniform(0.0, 0.4)
     while at_s < seconds:
-        for _ in range(int(rng.integers(2, 9))):  # a phrase
-            for part in _syllable(pitch_hz * np.exp(rng.normal(0, 0.12)), size, rate_hz, rng):
+        for _ in range(int(rng.integers(2, 9))):  # a phrase of syllables, most with a consonant
+            own_hz = pitch_hz * np.exp(rng.normal(0, 0.12))
+            kind = rng.choice(["hiss", "burst", "none"], p=[0.35, 0.4, 0.25])
+            parts: list[Array] = []
+            if kind == "hiss":
+                parts.append(_hiss(rng.uniform(0.05, 0.14), rate_hz, rng))
+            elif kind == "burst":
+                parts.append(np.zeros(int(rng.uniform(0.02, 0.08) * rate_hz)))
+                parts.append(_burst(rate_hz, rng))
+            parts.append(_vowel(rng.uniform(0.08, 0.26), own_hz, size, rate_hz, rng))
+            for part in parts:
                 _add(sound, at_s, part, 1.0, rate_hz)
                 at_s += len(part) / rate_hz
             at_s += rng.choice([0.0, 0.0, rng.uniform(0.02, 0.1)])
         at_s += rng.uniform(0.15, 0.8)
     return sound / _peak(sound)
-
-
-def _syllable(
-    pitch_hz: float, size: float, rate_hz: float, rng: np.random.Generator
-) -> list[Array]:
-    """Synthesise a consonant, mostly, and a vowel."""
-    parts: list[Array] = []
-    kind = rng.choice(["hiss", "burst", "none"], p=[0.35, 0.4, 0.25])
-    if kind == "hiss":
-        parts.append(_hiss(rng.uniform(0.05, 0.14), rate_hz, rng))
-    elif kind == "burst":
-        parts.append(np.zeros(int(rng.uniform(0.02, 0.08) * rate_hz)))
-        parts.append(_burst(rate_hz, rng))
-    parts.append(_vowel(rng.uniform(0.08, 0.26), pitch_hz, size, rate_hz, rng))
-    return parts
 
 
 def _vowel(
@@ -173,7 +167,7 @@ def _vowel(
     pulses = lfilter([1.0], [1.0, -0.96], pulses)  # a throat's closing, 6 dB an octave
     pulses = pulses + 0.02 * rng.standard_normal(count)
     formants = _VOWELS_HZ[int(rng.integers(len(_VOWELS_HZ)))]
-    for hz, width in zip(formants, _WIDTHS_HZ, strict=True):
+    for hz, width in zip(formants, (70.0, 100.0, 150.0), strict=True):
         radius = np.exp(-np.pi * width / rate_hz)
         turn = 2 * np.pi * hz * size / rate_hz
         shape = [1.0, -2 * radius * np.cos(turn), radius**2]
@@ -259,8 +253,6 @@ def coloured_noise(count: int, rate_hz: float, fall: float, rng: np.random.Gener
 
 # ---- Balls and tables that sound: sizes, masses, contacts, and the modes that ring.
 
-_AIR_KG_M3 = 1.2
-
 
 @dataclass(frozen=True)
 class SoundingBall:
@@ -337,144 +329,90 @@ SOUNDING_TABLES = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class ImpactVoice:
-    """Sound of one ball on one table."""
-
-    modes_hz: Array  # frequencies, shape (M,)
-    rings_s: Array  # time in which each falls to 1/e, shape (M,)
-    gains: Array  # of each in an impact at 1 m/s, before the strike's own low pass, shape (M,)
-    strike_s: float  # in which a touch at 1 m/s gets to its full strength
-    slap_gain: float  # of the noise of the touch
-    slap_s: float  # in which that falls to 1/e
-    slap_hz: Range  # its band
-    loudness: float  # power of the speed that all grows with
-    uneven: float  # by which the strength of each mode differs from impact to impact (log, one sd)
-
-
-@dataclass(frozen=True)
-class SampledBall:
-    """One ball of a kind."""
-
-    kind: str  # its name
-    told: Ball  # what a user can say of it: size and mass of the kind's middle
-    drag_1_m: float  # of this one
-    contact_s: float  # of it at 1 m/s
-
-
-# By which a ball's drag differs from what its size and mass say (log, one sd): seams, nap, air.
-_DRAG_SD = 0.05
-
-
-def draw_ball(kind: SoundingBall, rng: np.random.Generator) -> SampledBall:
-    """Draw a ball of this kind: a user weighs and measures it to 1 %."""
+def draw_ball(kind: SoundingBall, rng: np.random.Generator) -> tuple[Ball, float, float]:
+    """Draw a ball: what a user says of it, who weighs and measures it to 1 %, drag, contact."""
     diameter_m = float(rng.uniform(*kind.diameter_m))
     mass_kg = float(rng.uniform(*kind.density_kg_m3)) * np.pi / 6 * diameter_m**3
     area_m2 = np.pi / 4 * diameter_m**2
-    drag = _AIR_KG_M3 * kind.drag_coefficient * area_m2 / (2 * mass_kg)
-    off = np.exp(rng.normal(0.0, [0.01, 0.01, _DRAG_SD]))
+    drag = 1.2 * kind.drag_coefficient * area_m2 / (2 * mass_kg)  # in air of 1.2 kg/m³
+    # by 5 % a drag differs from what size and mass say: seams, nap, air
+    off = np.exp(rng.normal(0.0, [0.01, 0.01, 0.05]))
     told = Ball(float(diameter_m * off[0]), float(mass_kg * off[1]), kind.drag_coefficient)
-    contact_s = float(np.exp(rng.uniform(*np.log(kind.contact_s))))
-    return SampledBall(kind.name, told, float(drag * off[2]), contact_s)
+    contact_s = float(np.exp(rng.uniform(*np.log(kind.contact_s))))  # at 1 m/s
+    return told, float(drag * off[2]), contact_s
+
+
+Voice = Callable[..., None]  # see `draw_voice`
 
 
 def draw_voice(
     kind: SoundingBall, table: SoundingTable, loudness: float, rng: np.random.Generator
-) -> ImpactVoice:
-    """Draw the sound of a ball of this kind on such a table."""
+) -> Voice:
+    """Draw the sound of a ball of this kind on such a table: damped modes, and a touch's noise.
+
+    What is returned adds impacts, each (onset [s], speed [m/s]), to a sound in place, shape (N,).
+    All grows with the speed to the power of `loudness`; by `uneven` the strength of each mode
+    differs from impact to impact (log, one sd).
+    """
     of_ball, of_table = int(rng.integers(3, 7)), int(rng.integers(*table.modes, endpoint=True))
-    hz = np.concatenate(
-        [_log_drawn(kind.ball_hz, of_ball, rng), _log_drawn(table.table_hz, of_table, rng)]
+    modes_hz, rings_s = (
+        np.concatenate([_log_drawn(own, of_ball, rng), _log_drawn(tables, of_table, rng)])
+        for own, tables in (
+            (kind.ball_hz, table.table_hz),
+            (kind.ball_ring_s, table.table_ring_s),
+        )
     )
-    rings = np.concatenate(
-        [_log_drawn(kind.ball_ring_s, of_ball, rng), _log_drawn(table.table_ring_s, of_table, rng)]
-    )
-    gains = np.exp(rng.normal(0.0, 0.6, of_ball + of_table)) * rng.choice([-1.0, 1.0], len(hz))
-    gains[:of_ball] *= rng.uniform(0.2, 1.5)
-    gains /= np.sqrt(np.sum(gains**2))
-    return ImpactVoice(
-        modes_hz=hz,
-        rings_s=rings,
-        gains=gains,
-        strike_s=float(_log_drawn(kind.strike_s, 1, rng)[0]),
-        slap_gain=float(rng.uniform(*kind.slap)),
-        slap_s=float(rng.uniform(0.0008, 0.004)),
-        slap_hz=(float(rng.uniform(600, 2000)), float(rng.uniform(4000, 12000))),
-        loudness=loudness,
-        uneven=float(rng.uniform(0.05, 0.25)),
-    )
+    # of each mode in an impact at 1 m/s, before the strike's own low pass
+    usual = np.exp(rng.normal(0.0, 0.6, len(modes_hz))) * rng.choice([-1.0, 1.0], len(modes_hz))
+    usual[:of_ball] *= rng.uniform(0.2, 1.5)
+    usual /= np.sqrt(np.sum(usual**2))
+    usual_strike_s = float(_log_drawn(kind.strike_s, 1, rng)[0])  # likewise
+    slap_gain, slap_s = rng.uniform(*kind.slap), rng.uniform(0.0008, 0.004)
+    low_hz, high_hz = rng.uniform(600, 2000), rng.uniform(4000, 12000)  # of the slap
+    own = rng.uniform(0.05, 0.25)
+
+    def add(
+        samples: Array,
+        rate_hz: float,
+        impacts: Iterable[tuple[float, float]],
+        rng: np.random.Generator,
+        uneven: float = own,
+    ) -> None:
+        for begins_s, speed_m_s in impacts:
+            first = int(np.ceil(begins_s * rate_hz))
+            last = min(len(samples), first + int(1.2 * rate_hz))
+            gains = usual * np.exp(rng.normal(0.0, uneven, len(usual)))
+            overall = np.exp(rng.normal(0.0, 0.1))
+            slap_seed = int(rng.integers(2**31))
+            if first >= last or first < 0:
+                continue
+            seconds = np.arange(first, last) / rate_hz - begins_s
+            strike_s = usual_strike_s * speed_m_s**-0.3  # fast impacts are brighter
+            part = np.clip(seconds / strike_s, 0.0, 1.0)
+            sound = np.zeros(len(seconds))
+            for hz, ring_s, gain in zip(modes_hz, rings_s, gains, strict=True):
+                if hz <= 0.47 * rate_hz:
+                    heard = seconds[: int(7.0 * ring_s * rate_hz) + 1]
+                    dulled = gain / (1 + (hz * strike_s) ** 2)
+                    wave = dulled * np.exp(-heard / ring_s) * np.sin(2 * np.pi * hz * heard)
+                    sound[: len(heard)] += wave
+            slap = seconds[: int(8 * slap_s * rate_hz) + 1]
+            white = np.random.default_rng(slap_seed).standard_normal(len(slap) + 200)
+            noise = _band_passed(white, rate_hz, (low_hz, min(high_hz, 0.45 * rate_hz)), 1)[200:]
+            sound[: len(slap)] += slap_gain * noise * np.exp(-slap / slap_s)
+            strength = part * part * (3 - 2 * part)
+            samples[first:last] += overall * speed_m_s**loudness * (strength * sound)
+
+    return add
 
 
 def _log_drawn(ends: Range, count: int, rng: np.random.Generator) -> Array:
     return np.exp(rng.uniform(np.log(ends[0]), np.log(ends[1]), count))
 
 
-# ---- Impact sounds: damped modes and the noise of a touch.
-
-# A strike gets to its full strength in a time that goes as the speed to this power: fast impacts
-# are brighter.
-_BRIGHTER = -0.3
-
-_MAX_RING_S = 1.2  # of an impact's sound
-_RINGS = 7.0  # a mode is followed for so many of its times, but no longer
-
-
-def add_impacts(
-    samples: Array,
-    rate_hz: float,
-    voice: ImpactVoice,
-    impacts: Iterable[tuple[float, float]],
-    rng: np.random.Generator,
-) -> None:
-    """Add impacts, each (onset [s], speed [m/s]), to a sound in place, shape (N,)."""
-    for begins_s, speed_m_s in impacts:
-        first = int(np.ceil(begins_s * rate_hz))
-        last = min(len(samples), first + int(_MAX_RING_S * rate_hz))
-        uneven = np.exp(rng.normal(0.0, voice.uneven, len(voice.gains)))
-        overall = np.exp(rng.normal(0.0, 0.1))
-        slap_seed = int(rng.integers(2**31))
-        if first >= last or first < 0:
-            continue
-        seconds = np.arange(first, last) / rate_hz - begins_s
-        sound = _one(voice, seconds, rate_hz, speed_m_s, uneven, slap_seed)
-        samples[first:last] += overall * speed_m_s**voice.loudness * sound
-
-
-def _one(
-    voice: ImpactVoice,
-    seconds: Array,
-    rate_hz: float,
-    speed_m_s: float,
-    uneven: Array,
-    slap_seed: int,
-) -> Array:
-    """Synthesise one impact at times after its touch, shape (T,), without its loudness."""
-    strike_s = voice.strike_s * speed_m_s**_BRIGHTER
-    part = np.clip(seconds / strike_s, 0.0, 1.0)
-    strength = part * part * (3 - 2 * part)
-    sound = np.zeros(len(seconds))
-    for hz, ring_s, gain in zip(voice.modes_hz, voice.rings_s, voice.gains * uneven, strict=True):
-        if hz > 0.47 * rate_hz:
-            continue
-        heard = seconds[: int(_RINGS * ring_s * rate_hz) + 1]
-        dulled = gain / (1 + (hz * strike_s) ** 2)
-        sound[: len(heard)] += dulled * np.exp(-heard / ring_s) * np.sin(2 * np.pi * hz * heard)
-    noise = _slap(voice, seconds[: int(8 * voice.slap_s * rate_hz) + 1], rate_hz, slap_seed)
-    sound[: len(noise)] += noise
-    return strength * sound
-
-
-def _slap(voice: ImpactVoice, seconds: Array, rate_hz: float, seed: int) -> Array:
-    low, high = voice.slap_hz
-    white = np.random.default_rng(seed).standard_normal(len(seconds) + 200)
-    noise = _band_passed(white, rate_hz, (low, min(high, 0.45 * rate_hz)), 1)[200:]
-    return voice.slap_gain * noise * np.exp(-seconds / voice.slap_s)
-
-
 # ---- Loudness: impacts beside the background.
 
 OCTAVES_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)  # middles of bands an octave wide
-WINDOW_S = 0.02
 
 
 def impact_ratio(foreground: Array, background: Array, rate_hz: float, impacts_s: Array) -> float:
@@ -490,7 +428,7 @@ def impact_ratio(foreground: Array, background: Array, rate_hz: float, impacts_s
         rate_hz: of both.
         impacts_s: when the sound of each impact begins, after the first sample.
     """
-    count = int(WINDOW_S * rate_hz)
+    count = int(0.02 * rate_hz)
     windows = [foreground[(at := int(time * rate_hz)) : at + count] for time in impacts_s]
     powers = np.array([float(np.mean(window**2)) for window in windows])
     middle = windows[int(np.argsort(powers)[(len(powers) - 1) // 2])]
@@ -512,53 +450,34 @@ def _power(samples: Array, rate_hz: float, middle_hz: float) -> float:
 
 Codec = Literal["pcm", "aac"]
 
-_BLOCK = 64  # samples that automatic gain is the same for, before it is smoothed
 
+def draw_room(rng: np.random.Generator) -> Callable[[Array, float], Array]:
+    """Draw any room, the phone up to a few steps from the ball; return what it does to a sound."""
+    echo_s = rng.uniform(0.2, 0.8)  # in which echoes fall by 60 dB
+    direct_db = rng.uniform(0.0, 15.0)  # power of the direct sound over that of the echo's tail
+    reflections, seed = int(rng.integers(2, 8)), int(rng.integers(2**31))
 
-@dataclass(frozen=True)
-class SoundRoom:
-    """Room and where the microphone stands in it."""
+    def heard(samples: Array, rate_hz: float) -> Array:
+        from scipy.signal import fftconvolve
 
-    echo_s: float  # time in which echoes fall by 60 dB
-    direct_db: float  # power of the direct sound over that of the echo's tail
-    reflections: int  # how many come one by one
-    seed: int  # of them
-
-    def response(self, rate_hz: float) -> Array:
-        """Return the impulse response; the direct sound is its first sample, of 1."""
-        rng = np.random.default_rng(self.seed)
-        count = int(min(self.echo_s, 0.9) * rate_hz)
+        rng = np.random.default_rng(seed)
+        count = int(min(echo_s, 0.9) * rate_hz)
         seconds = np.arange(count) / rate_hz
-        tail = rng.standard_normal(count) * 10 ** (-3 * seconds / self.echo_s)
+        tail = rng.standard_normal(count) * 10 ** (-3 * seconds / echo_s)
         tail *= np.clip((seconds - 0.004) / 0.012, 0.0, 1.0)
         smooth = rng.uniform(0.1, 0.6)  # walls take more of high notes
         tail[1:] = (1 - smooth) * tail[1:] + smooth * tail[:-1]
-        tail *= np.sqrt(10 ** (-self.direct_db / 10) / np.sum(tail**2))
-        tail[0] = 1.0
-        for _ in range(self.reflections):
+        tail *= np.sqrt(10 ** (-direct_db / 10) / np.sum(tail**2))
+        tail[0] = 1.0  # the direct sound
+        for _ in range(reflections):
             at_s = rng.uniform(0.0015, 0.03)
             gain = rng.uniform(0.1, 0.5) * rng.choice([-1.0, 1.0], p=[0.2, 0.8])
-            exact = at_s * rate_hz
-            whole, part = int(exact), exact - int(exact)
+            whole, part = int(at_s * rate_hz), at_s * rate_hz % 1
             tail[whole] += gain * (1 - part)
             tail[whole + 1] += gain * part
-        return tail
+        return fftconvolve(samples, tail)[: len(samples)]
 
-    def heard(self, samples: Array, rate_hz: float) -> Array:
-        """Convolve a sound with this room, as long as before."""
-        from scipy.signal import fftconvolve
-
-        return fftconvolve(samples, self.response(rate_hz))[: len(samples)]
-
-
-def draw_room(rng: np.random.Generator) -> SoundRoom:
-    """Draw any room, the phone up to a few steps from the ball."""
-    return SoundRoom(
-        echo_s=float(rng.uniform(0.2, 0.8)),
-        direct_db=float(rng.uniform(0.0, 15.0)),
-        reflections=int(rng.integers(2, 8)),
-        seed=int(rng.integers(2**31)),
-    )
+    return heard
 
 
 @dataclass(frozen=True)
@@ -590,11 +509,11 @@ class SoundPhone:
 
 def _automatic_gain(samples: Array, rate_hz: float, ratio: float, release_s: float) -> Array:
     """Return a gain for each sample that falls within 5 ms and comes back slowly."""
-    count = -(-len(samples) // _BLOCK)
-    padded = np.pad(np.abs(samples), (0, count * _BLOCK - len(samples)))
-    peaks = padded.reshape(count, _BLOCK).max(axis=1)
-    up = np.exp(-_BLOCK / rate_hz / 0.005)
-    down = np.exp(-_BLOCK / rate_hz / release_s)
+    block = 64  # samples that it is the same for, before it is smoothed
+    count = -(-len(samples) // block)
+    padded = np.pad(np.abs(samples), (0, count * block - len(samples)))
+    peaks = padded.reshape(count, block).max(axis=1)
+    up, down = (np.exp(-block / rate_hz / within_s) for within_s in (0.005, release_s))
     floor = 0.02 * float(peaks.max(initial=1e-9))
     level, levels = floor, np.empty(count)
     for at, peak in enumerate(np.maximum(peaks, floor).tolist()):
@@ -602,7 +521,7 @@ def _automatic_gain(samples: Array, rate_hz: float, ratio: float, release_s: flo
         level = keep * level + (1 - keep) * peak
         levels[at] = level
     gains = (levels / floor) ** (1 / ratio - 1)
-    middles = (np.arange(count) + 1.0) * _BLOCK  # what a block's gain is known from lies before it
+    middles = (np.arange(count) + 1.0) * block  # what a block's gain is known from lies before it
     return np.interp(np.arange(len(samples)), middles, gains)
 
 
@@ -663,31 +582,16 @@ def through_aac(samples: NDArray[np.float32], rate_hz: int) -> NDArray[np.float3
 
 # ---- A bounce drawn at random, as a phone hears it, with the truth behind it.
 
-RESTITUTIONS = (0.5, 0.95)
-SLOPES = (0.0, 0.15)
-HEIGHTS_M = (0.3, 1.5)
-SNRS_DB = (20.0, 40.0)  # drawn evenly, where no ratio is asked for
-MIN_IMPACTS, MAX_IMPACTS = 5, 14  # of the impacts that are loud enough, those that are recorded
-FAINTEST = 10**-1.5  # an impact counts as audible down to 30 dB below the loudest
-_BOUNCE_SEEDS = 1_000_000  # added to a seed: negative is for choosing, positive for reporting
-RATES_HZ = (44_100, 48_000)
-SPEED_OF_SOUND_M_S = 343.0
-_LOUDNESS = (1.2, 1.8)
-_LEAD_S = (0.2, 1.2)
-_DISTANCE_M = (0.15, 1.5)
-_WALK_M_S = 0.03  # standard deviation of the speed by which the ball comes nearer or goes away
-_MAX_BOUNCE_S = 10.0  # from the release to the end of a recording
-
 
 @dataclass(frozen=True, eq=False)
 class SoundScene:
     """Bounce and where it is heard, before any background."""
 
-    ball: SampledBall  # what bounces
-    table: str  # on what, its name
+    what: str  # the ball's kind and the table's
+    told: Ball  # what a user can say of the ball: size and mass of the kind's middle
     history: BounceHistory  # the bounce
-    voice: ImpactVoice  # how they sound together
-    room: SoundRoom  # around them
+    voice: Voice  # how they sound together
+    room: Callable[[Array, float], Array]  # around them, by `draw_room`
     phone: SoundPhone  # that records
     audible: int  # how many impacts are recorded and at most 30 dB below the loudest
     rate_hz: int  # of the samples
@@ -707,14 +611,14 @@ class SoundScene:
     def impacts_s(self) -> Array:
         """Arrival of each contact's sound at the microphone, after the first sample."""
         away_m = self.distance_m + self.walk_m_s * (self.touches_s - self.release_s)
-        return self.touches_s + np.maximum(away_m, 0.05) / SPEED_OF_SOUND_M_S
+        return self.touches_s + np.maximum(away_m, 0.05) / 343.0
 
     def foreground(self) -> Array:
         """Synthesise the ball alone, in its room, by the phone's microphone, shape (N,)."""
         samples = np.zeros(int(self.lasts_s * self.rate_hz))
         impacts = zip(self.impacts_s, self.history.speeds_m_s, strict=False)
-        add_impacts(samples, self.rate_hz, self.voice, impacts, np.random.default_rng(self.seed))
-        return self.phone.band(self.room.heard(samples, self.rate_hz), self.rate_hz)
+        self.voice(samples, self.rate_hz, impacts, np.random.default_rng(self.seed))
+        return self.phone.band(self.room(samples, self.rate_hz), self.rate_hz)
 
 
 @dataclass(frozen=True, eq=False)
@@ -764,19 +668,17 @@ def draw_sound(
     codec: Codec = "pcm",
     uneven: float = 0.0,
 ) -> SoundClip:
-    """Draw clip `number` of a seed: the same bounce for any background, ratio and codec."""
-    rng = np.random.default_rng([_BOUNCE_SEEDS + seed, number, *b"bounce"])
+    """Draw clip `number` of a seed: the same bounce for any background, ratio and codec.
+
+    Negative seeds are for choosing, positive ones for reporting.
+    """
+    rng = np.random.default_rng([1_000_000 + seed, number, *b"bounce"])
     scene = draw_scene(rng, uneven=uneven)
-    rng = np.random.default_rng([_BOUNCE_SEEDS + seed, number, *b"background"])
+    rng = np.random.default_rng([1_000_000 + seed, number, *b"background"])
     drawn = BACKGROUNDS[int(rng.integers(len(BACKGROUNDS)))]
-    ratio_db = float(rng.uniform(*SNRS_DB))
-    return recorded(
-        scene,
-        drawn if background is None else background,
-        ratio_db if snr_db is None else snr_db,
-        codec,
-        int(rng.integers(2**31)),
-    )
+    ratio_db = float(rng.uniform(20.0, 40.0))
+    ratio_db = ratio_db if snr_db is None else snr_db
+    return recorded(scene, background or drawn, ratio_db, codec, int(rng.integers(2**31)))
 
 
 def recorded(
@@ -807,57 +709,52 @@ def draw_scene(
     while True:
         kind = SOUNDING_BALLS[int(rng.integers(len(SOUNDING_BALLS)))]
         table = SOUNDING_TABLES[int(rng.integers(len(SOUNDING_TABLES)))]
-        ball = draw_ball(kind, rng)
+        told, drag_1_m, contact_s = draw_ball(kind, rng)
         order = BounceOrder(
-            float(rng.uniform(*HEIGHTS_M)),
-            float(rng.uniform(*RESTITUTIONS)),
-            float(rng.uniform(*SLOPES)),
-            ball.drag_1_m,
-            ball.contact_s,
-            uneven,
-            int(rng.integers(2**31)) if uneven else 0,
+            height_m=float(rng.uniform(0.3, 1.5)),
+            restitution=float(rng.uniform(0.5, 0.95)),
+            slope=float(rng.uniform(0.0, 0.15)),
+            drag_1_m=drag_1_m,
+            contact_s=contact_s,
+            uneven=uneven,
+            seed=int(rng.integers(2**31)) if uneven else 0,
         )
-        loudness = float(rng.uniform(*_LOUDNESS))
+        loudness = float(rng.uniform(1.2, 1.8))
         history = bounced(order)
-        loud = history.speeds_m_s**loudness
-        audible = int(np.count_nonzero(loud > FAINTEST * loud[0]))
-        release_s = float(rng.uniform(*_LEAD_S))
-        most = int(rng.integers(MIN_IMPACTS, MAX_IMPACTS + 1))
-        end_s = lasts_s or _end_s(history, min(audible, most), rng)
-        audible = min(audible, int(np.count_nonzero(history.touches_s < end_s - 0.02)))
+        loud, touches = history.speeds_m_s**loudness, history.touches_s
+        audible = int(np.count_nonzero(loud > 10**-1.5 * loud[0]))  # down to 30 dB below the first
+        release_s = float(rng.uniform(0.2, 1.2))
+        count = min(audible, int(rng.integers(5, 15)))
+        if lasts_s:
+            end_s = lasts_s
+        elif count < len(touches):  # in the flight after the last of these
+            flight = touches[count] - touches[count - 1]
+            end_s = min(touches[count - 1] + rng.uniform(0.4, 0.95) * flight, 10.0)
+        else:
+            end_s = min(touches[-1] + rng.uniform(0.3, 1.0), 10.0)
+        audible = min(audible, int(np.count_nonzero(touches < end_s - 0.02)))
         scene = SoundScene(
-            ball=ball,
-            table=table.name,
+            what=f"{kind.name} on {table.name}",
+            told=told,
             history=history,
             voice=draw_voice(kind, table, loudness, rng),
             room=draw_room(rng),
             phone=draw_phone(rng),
             audible=audible,
-            rate_hz=int(rng.choice(RATES_HZ)),
+            rate_hz=int(rng.choice((44_100, 48_000))),
             release_s=release_s,
-            lasts_s=release_s + end_s,
-            distance_m=float(rng.uniform(*_DISTANCE_M)),
-            walk_m_s=float(rng.normal(0.0, _WALK_M_S)),
+            lasts_s=release_s + float(end_s),
+            distance_m=float(rng.uniform(0.15, 1.5)),
+            walk_m_s=float(rng.normal(0.0, 0.03)),
             seed=int(rng.integers(2**31)),
         )
-        if audible >= MIN_IMPACTS:
+        if audible >= 5:
             return scene
-
-
-def _end_s(history: BounceHistory, count: int, rng: np.random.Generator) -> float:
-    """Draw the end of the recording after the release: in the flight after so many impacts."""
-    touches = history.touches_s
-    if count < len(touches):
-        flight = touches[count] - touches[count - 1]
-        return float(min(touches[count - 1] + rng.uniform(0.4, 0.95) * flight, _MAX_BOUNCE_S))
-    return float(min(touches[-1] + rng.uniform(0.3, 1.0), _MAX_BOUNCE_S))
 
 
 # ---- Sounds that are no bounce of one ball, and must not be taken for one.
 
-_LASTS_S = (3.0, 8.0)
 _RATE_HZ = 48_000
-_NO_BOUNCE_SEEDS = 2_000_000
 
 
 def _striker(strike_s: Range, hz: Range, ring_s: Range, slap: Range) -> SoundingBall:
@@ -890,10 +787,9 @@ def _struck(
 ) -> Array:
     """Synthesise strikes at these times [s] with these speeds [m/s]."""
     table = SOUNDING_TABLES[int(rng.integers(len(SOUNDING_TABLES)))]
-    voice = draw_voice(striker, table, 1.5, rng)
-    voice = replace(voice, uneven=float(rng.uniform(0.15, 0.4)))
+    add, uneven = draw_voice(striker, table, 1.5, rng), float(rng.uniform(0.15, 0.4))
     samples = np.zeros(int(lasts_s * _RATE_HZ))
-    add_impacts(samples, _RATE_HZ, voice, events, rng)
+    add(samples, _RATE_HZ, events, rng, uneven)
     return samples
 
 
@@ -904,9 +800,14 @@ def _beats(
     events: list[tuple[float, float]] = []
     at_s = rng.uniform(0.2, 0.8)
     while at_s < lasts_s - 0.1:
-        events.append((at_s, float(np.exp(rng.normal(0.0, uneven)))))
+        events.append((at_s, _hard(uneven, rng)))
         at_s += max(period_s + rng.normal(0.0, jitter_s), 0.05)
     return events
+
+
+def _hard(uneven: float, rng: np.random.Generator) -> float:
+    """Draw a speed about 1 m/s."""
+    return float(np.exp(rng.normal(0.0, uneven)))
 
 
 def _claps(lasts_s: float, rng: np.random.Generator) -> Array:
@@ -916,7 +817,7 @@ def _claps(lasts_s: float, rng: np.random.Generator) -> Array:
         begins_s, shorter = events[0][0], rng.uniform(0.85, 0.97)
         gaps = rng.uniform(0.4, 0.8) * shorter ** np.arange(30) * rng.normal(1, 0.02, 30)
         times = begins_s + np.cumsum(gaps)
-        events = [(float(t), float(np.exp(rng.normal(0, 0.2)))) for t in times if t < lasts_s - 0.1]
+        events = [(float(at), _hard(0.2, rng)) for at in times if at < lasts_s - 0.1]
     return _struck(_HAND, events, lasts_s, rng)
 
 
@@ -941,7 +842,7 @@ def _two_balls(lasts_s: float, rng: np.random.Generator) -> Array:
         one = np.zeros_like(samples)
         begins = scene.history.touches_s + 0.4 + later_s
         speeds = scene.history.speeds_m_s
-        add_impacts(one, _RATE_HZ, scene.voice, zip(begins, speeds, strict=True), rng)
+        scene.voice(one, _RATE_HZ, zip(begins, speeds, strict=True), rng)
         samples += one / np.max(np.abs(one)) * 10 ** (rng.uniform(-6, 0) / 20)
         later_s = rng.uniform(0.02, 0.6)
     return samples[: int(lasts_s * _RATE_HZ)]
@@ -968,7 +869,7 @@ def _knocking(lasts_s: float, rng: np.random.Generator) -> Array:
     while at_s < lasts_s - 0.2:
         period_s = rng.uniform(0.12, 0.35)
         for _ in range(int(rng.integers(3, 7))):
-            events.append((at_s, float(np.exp(rng.normal(0, 0.2)))))
+            events.append((at_s, _hard(0.2, rng)))
             at_s += period_s * rng.normal(1, 0.06)
         at_s += rng.uniform(0.6, 2.0)
     return _struck(_HAND, events, lasts_s, rng)
@@ -979,7 +880,7 @@ def _keyboard(lasts_s: float, rng: np.random.Generator) -> Array:
     events: list[tuple[float, float]] = []
     at_s = rng.uniform(0.1, 0.6)
     while at_s < lasts_s - 0.2:
-        hard = float(np.exp(rng.normal(0, 0.4)))
+        hard = _hard(0.4, rng)
         events += [(at_s, hard), (at_s + rng.uniform(0.05, 0.12), 0.4 * hard)]
         at_s += rng.gamma(3.0, 0.06) + (rng.random() < 0.1) * rng.uniform(0.3, 1.0)
     return _struck(_KEY, sorted(events), lasts_s, rng)
@@ -989,8 +890,7 @@ def _rain(lasts_s: float, rng: np.random.Generator) -> Array:
     """Synthesise drops or clicks at random, few or many."""
     count = rng.poisson(lasts_s * np.exp(rng.uniform(np.log(1.5), np.log(25.0))))
     times = np.sort(rng.uniform(0.1, lasts_s - 0.1, count))
-    events = [(float(at), float(np.exp(rng.normal(0, 0.5)))) for at in times]
-    return _struck(_DROP, events, lasts_s, rng)
+    return _struck(_DROP, [(float(at), _hard(0.5, rng)) for at in times], lasts_s, rng)
 
 
 def _single(lasts_s: float, rng: np.random.Generator) -> Array:
@@ -1022,15 +922,15 @@ NO_BOUNCES: dict[str, Maker] = {
 
 def draw_negative(seed: int, number: int) -> NoBounce:
     """Draw sound `number` of a seed, in a room, by a phone, a third of them through AAC."""
-    rng = np.random.default_rng([_NO_BOUNCE_SEEDS + seed, number, *b"no bounce"])
+    rng = np.random.default_rng([2_000_000 + seed, number, *b"no bounce"])
     kind = list(NO_BOUNCES)[number % len(NO_BOUNCES)]
-    lasts_s = float(rng.uniform(*_LASTS_S))
+    lasts_s = float(rng.uniform(3.0, 8.0))
     codec: Codec = "aac" if rng.random() < 1 / 3 else "pcm"
     made = NO_BOUNCES[kind](lasts_s, rng)
     if kind == "silence":
         return NoBounce(made.astype(np.float32), _RATE_HZ, codec, kind)
     phone, room = draw_phone(rng), draw_room(rng)
-    heard = phone.band(room.heard(made, _RATE_HZ), _RATE_HZ)
+    heard = phone.band(room(made, _RATE_HZ), _RATE_HZ)
     behind = "quiet" if kind != "noise" or rng.random() < 0.5 else "noise"
     other = background_sound(behind, lasts_s, _RATE_HZ, rng)[: len(heard)]
     other = phone.band(other, _RATE_HZ)
@@ -1043,27 +943,26 @@ def draw_negative(seed: int, number: int) -> NoBounce:
 # ---- A bounce filmed and heard: a phone's mp4, its sound off by a constant; or a track.
 
 FILM_HZ = 30.0
-OFFSET_S = 0.040  # sound is early or late by up to this
-TRACK_NOISE_M = 0.002  # standard deviation of a coordinate of a track of positions
-_SMALL_PX = SIZES_PX[:5]
-_MAX_FILM_S = 4.0  # from the release to the end of a film
-_EXPOSURES_S = (0.0, 0.008)
-_FILM_SEEDS = 3_000_000
-_START_NS = 1_700_000_000_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class FilmedSound:
-    """Video with its sound."""
+class Beside:
+    """Sound beside a bounce that is seen."""
 
-    order: ClipOrder  # the pictures
     clip: SoundClip  # the sound
-    offset_s: float  # by which the sound is late, on the pictures' clock
+    offset_s: float  # by which it is late, on the pictures' clock
 
     @property
     def restitution(self) -> float:
         """Restitution at the first impact."""
         return self.clip.scene.history.order.restitution
+
+
+@dataclass(frozen=True, eq=False)
+class FilmedSound(Beside):
+    """Video with its sound."""
+
+    order: ClipOrder  # the pictures
 
     def write(self, path: Path, *, with_sound: bool = True) -> None:
         """Write H.264 and AAC at 64 kbit/s, in an mp4."""
@@ -1084,29 +983,29 @@ def film_with_sound(
     uneven: float = 0.0,
 ) -> FilmedSound:
     """Draw video `number` of a seed, 30 fps, pictures up to 640 by 360."""
-    rng = np.random.default_rng([_FILM_SEEDS + seed, number, *b"film"])
+    rng = np.random.default_rng([3_000_000 + seed, number, *b"film"])
     scene = short_scene(rng, uneven)
     bounce = scene.history.order
     ball = RealBall(bounce.restitution, bounce.slope, bounce.drag_1_m, bounce.height_m)
     order = replace(
-        draw_clip_of(ball, rng, _SMALL_PX),
+        draw_clip_of(ball, rng, SIZES_PX[:5]),
         rate_hz=FILM_HZ,
         held_s=scene.release_s,
         length_s=scene.lasts_s - scene.release_s,
-        exposure_s=float(rng.uniform(*_EXPOSURES_S)),
+        exposure_s=float(rng.uniform(0.0, 0.008)),
         person=None,
         as_log=False,
         heights_m=scene.history.heights_m,
     )
-    return FilmedSound(order, *_heard(scene, snr_db, background, rng))
+    return FilmedSound(*_heard(scene, snr_db, background, rng), order)
 
 
 def short_scene(rng: np.random.Generator, uneven: float = 0.0) -> SoundScene:
     """Draw a bounce that is recorded for four seconds after the release at most."""
     scene = draw_scene(rng, uneven=uneven)
-    if scene.lasts_s - scene.release_s <= _MAX_FILM_S:
+    end_s = scene.release_s + 4.0
+    if scene.lasts_s - scene.release_s <= 4.0:
         return scene
-    end_s = scene.release_s + _MAX_FILM_S
     audible = int(np.count_nonzero(scene.impacts_s[: scene.audible] < end_s - 0.02))
     return replace(scene, lasts_s=end_s, audible=audible)
 
@@ -1114,31 +1013,23 @@ def short_scene(rng: np.random.Generator, uneven: float = 0.0) -> SoundScene:
 def _heard(
     scene: SoundScene, snr_db: float, background: Background | None, rng: np.random.Generator
 ) -> tuple[SoundClip, float]:
+    """Record a bounce, its sound early or late by up to 40 ms."""
     drawn = BACKGROUNDS[int(rng.integers(len(BACKGROUNDS)))]
-    seed = int(rng.integers(2**31))
-    offset_s = float(rng.uniform(-OFFSET_S, OFFSET_S))
+    seed, offset_s = int(rng.integers(2**31)), float(rng.uniform(-0.040, 0.040))
     return recorded(scene, background or drawn, snr_db, "pcm", seed), offset_s
 
 
 @dataclass(frozen=True, eq=False)
-class TrackedSound:
+class TrackedSound(Beside):
     """Track of the ball's positions at 30 Hz, and its sound."""
 
-    clip: SoundClip  # the sound
-    offset_s: float  # by which the sound is late, on the positions' clock
     seconds: Array  # of the positions, after the first, shape (T,)
     positions_m: Array  # z is up, shape (T, 3)
 
-    @property
-    def restitution(self) -> float:
-        """Restitution at the first impact."""
-        return self.clip.scene.history.order.restitution
-
     def episode(self) -> Episode:
         """Build the log in memory."""
-        stamps_ns = _START_NS + np.round(self.seconds * 1e9).astype(np.int64)
-        signal = Signal("/ball/pose", stamps_ns, self.positions_m, ("x", "y", "z"), "m")
-        return with_sound(Episode(EpisodeInfo(), {signal.name: signal}), self.clip, self.offset_s)
+        log = ball_log(self.seconds, self.positions_m, "/ball/pose")
+        return with_sound(log, self.clip, self.offset_s)
 
 
 def track_with_sound(
@@ -1149,21 +1040,20 @@ def track_with_sound(
     uneven: float = 0.0,
 ) -> TrackedSound:
     """Draw track `number` of a seed; see `film_with_sound`."""
-    rng = np.random.default_rng([_FILM_SEEDS + seed, number, *b"track"])
+    rng = np.random.default_rng([3_000_000 + seed, number, *b"track"])
     scene = short_scene(rng, uneven)
     seconds = np.arange(0.0, scene.lasts_s, 1 / FILM_HZ)
     positions = np.tile([*rng.uniform(-1, 1, 2), rng.uniform(0, 1)], (len(seconds), 1))
     positions[:, 2] += scene.history.heights_m(seconds - scene.release_s)
-    positions += rng.normal(0.0, TRACK_NOISE_M, positions.shape)
-    clip, offset_s = _heard(scene, snr_db, background, rng)
-    return TrackedSound(clip, offset_s, seconds, positions)
+    positions += rng.normal(0.0, 0.002, positions.shape)
+    return TrackedSound(*_heard(scene, snr_db, background, rng), seconds, positions)
 
 
 def with_sound(episode: Episode, heard: SoundClip | NoBounce, offset_s: float = 0.0) -> Episode:
     """Add a sound that begins `offset_s` after the episode's first sample or picture."""
     stamps = [int(signal.stamps_ns[0]) for signal in episode.signals.values()]
     stamps += [int(channel.log_ns[0]) for channel in episode.channels if len(channel.log_ns)]
-    start_ns = min(stamps, default=_START_NS) + round(offset_s * 1e9)
+    start_ns = min(stamps, default=START_NS) + round(offset_s * 1e9)
     channel = Channel("/audio", "", "", np.array([start_ns]), sounds=True)
     return replace(
         episode,

@@ -31,7 +31,6 @@ GRAVITY_M_S2 = 9.81
 MIN_SPEED_M_S = 0.05  # of the balls of a table: slower impacts have the restitution at this speed
 _STILL_M_S = 1e-3  # a ball that rebounds slower lies still: it would rise by 50 nm
 STEPS = 32  # of half a flight at the first impact's speed; of slower ones fewer, in proportion
-_MIN_STEPS = 2
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
@@ -108,7 +107,7 @@ def fallen(
         rests = np.where(still & np.isinf(rests), tape.time, rests)
         if np.all(still | (tape.time > until_s)):
             break
-        count = max(_MIN_STEPS, int(np.ceil(steps * np.max(up / first))))
+        count = max(2, int(np.ceil(steps * np.max(up / first))))
         tape.rise(np.where(still, 0.0, up), count)
         hit = np.where(still, 0.0, tape.fall(count))
         impacts.append(tape.time)
@@ -218,11 +217,7 @@ MAX_S = 3.0
 
 MIN_FALL = 0.01  # of the drop: a bounce that ends with a lower fall is not in view
 LIES_S: Range = (0.2, 0.6)
-_HELD_S: Range = (0.3, 1.0)
-_RADII_M: Range = (0.015, 0.12)
-_TABLES_M: Range = (-0.5, 1.2)
-_START_NS = 1_700_000_000_000_000_000
-_TOPIC = "/vrpn/ball/pose"
+START_NS = 1_700_000_000_000_000_000  # of logs
 
 
 @dataclass(frozen=True)
@@ -265,7 +260,7 @@ class RecordedDrop:
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
         """Stamps of the samples, shape (T,)."""
-        return _START_NS + np.round((self.seconds - self.seconds[0]) * 1e9).astype(np.int64)
+        return START_NS + np.round((self.seconds - self.seconds[0]) * 1e9).astype(np.int64)
 
     @property
     def last_bounce_s(self) -> float:
@@ -276,7 +271,7 @@ class RecordedDrop:
 
     def seconds_of(self, stamps_ns: NDArray[np.int64]) -> Array:
         """Convert stamps on the log's clock to times after the release, shape (T,)."""
-        return (stamps_ns - _START_NS).astype(np.float64) * 1e-9 + self.seconds[0]
+        return (stamps_ns - START_NS).astype(np.float64) * 1e-9 + self.seconds[0]
 
     def truth_m(self, seconds: Array) -> Array:
         """Return the height over the contact at times after the release, shape (T,)."""
@@ -289,21 +284,31 @@ class RecordedDrop:
 
     def episode(self) -> Episode:
         """Build the log in memory: positions alone, nothing of ball, table or release."""
-        signal = Signal(_TOPIC, self.stamps_ns, self.positions_m, ("x", "y", "z"), "m")
-        return Episode(EpisodeInfo(), {_TOPIC: signal})
+        return ball_log(self.seconds - self.seconds[0], self.positions_m)
+
+
+def ball_log(seconds: Array, positions_m: Array, topic: str = "/vrpn/ball/pose") -> Episode:
+    """Build a log in memory of positions, shape (T, 3), z up, at times after its start, (T,)."""
+    stamps_ns = START_NS + np.round(seconds * 1e9).astype(np.int64)
+    signal = Signal(topic, stamps_ns, positions_m, ("x", "y", "z"), "m")
+    return Episode(EpisodeInfo(), {topic: signal})
+
+
+def drawn_ball(rng: np.random.Generator, scale: float = 1.0) -> tuple[RealBall, float]:
+    """Draw a stranger's ball and its drop, and a rate [Hz]; the scale is of slope and drag."""
+    ball = RealBall(
+        rng.uniform(*RESTITUTIONS),
+        scale * rng.uniform(*SLOPES),
+        scale * float(np.exp(rng.uniform(*np.log(DRAGS_1_M)))),
+        rng.uniform(*DROPS_M),
+    )
+    return ball, RATES_HZ[int(rng.integers(len(RATES_HZ)))]
 
 
 def draw_drop(cell: WorldCell, seed: int, number: int) -> RecordedDrop:
     """Draw drop `number` of a seed: the same ball, but for the scale, in every cell."""
     rng = np.random.default_rng([seed, number, 1919])
-    low, high = np.log(DRAGS_1_M)
-    ball = RealBall(
-        rng.uniform(*RESTITUTIONS),
-        cell.scale * rng.uniform(*SLOPES),
-        cell.scale * float(np.exp(rng.uniform(low, high))),
-        rng.uniform(*DROPS_M),
-    )
-    rate_hz = RATES_HZ[int(rng.integers(len(RATES_HZ)))]
+    ball, rate_hz = drawn_ball(rng, cell.scale)
     return record_drop(ball, rate_hz, cell.noise_m, rng)
 
 
@@ -319,8 +324,8 @@ def record_drop(
 
     It is recorded for `longest_s` after the release at most.
     """
-    level_m = rng.uniform(*_TABLES_M) + rng.uniform(*_RADII_M)
-    held_s, rest_s = rng.uniform(*_HELD_S), rng.uniform(*lies_s)
+    level_m = rng.uniform(-0.5, 1.2) + rng.uniform(0.015, 0.12)
+    held_s, rest_s = rng.uniform(0.3, 1.0), rng.uniform(*lies_s)
     path = fallen(ball.values[None], longest_s)
     until_s = min(float(path.rests_s[0]) + rest_s, longest_s)
     seconds = np.arange(-held_s, until_s, 1 / rate_hz)
@@ -332,15 +337,13 @@ def record_drop(
 
 # ---- Airless bound: what parabolas with one restitution can do at best.
 
-_STILL = 1e-3  # rebound over first impact, in speed, below which it lies
-_MAX_AIRLESS = 0.999  # restitution, so that it lies some day
-
 
 def parabolas(restitution: float, drop_m: float, seconds: Array) -> Array:
     """Return the height over the contact of a ball without air, after the release, shape (T,)."""
     fall_s = float(np.sqrt(2 * drop_m / GRAVITY_M_S2))
     hit = GRAVITY_M_S2 * fall_s
-    count = max(1, int(np.ceil(np.log(_STILL) / np.log(np.clip(restitution, 1e-9, _MAX_AIRLESS)))))
+    # until it rebounds at a thousandth of the first impact's speed; at most .999, so that it does
+    count = max(1, int(np.ceil(np.log(1e-3) / np.log(np.clip(restitution, 1e-9, 0.999)))))
     ups = hit * restitution ** np.arange(1, count + 1)
     starts = fall_s + np.concatenate([[0.0], np.cumsum(2 * ups / GRAVITY_M_S2)])
     flight = np.searchsorted(starts, seconds, side="right") - 1
@@ -383,7 +386,6 @@ def airless_off(restitution: float, drop: RecordedDrop) -> Array:
 
 # ---- Balls that people drop: their masses, sizes and restitutions, and drops of them.
 
-_AIR_20C_KG_M3 = 1.204  # at 20 degrees Celsius and 101.3 kPa
 HEIGHTS_M = (0.5, 1.0, 2.0)  # that each ball is dropped from
 NOISE_M = 0.001  # standard deviation of each coordinate of these drops
 # From the release to the last sample of what the paper's network is given: it needs 6.7 s.
@@ -406,7 +408,8 @@ class TableBall:
     def drag_1_m(self) -> float:
         """Drag deceleration over speed squared: rho Cd A / (2 m) [1/m]."""
         area_m2 = np.pi / 4 * self.diameter_m**2
-        return float(_AIR_20C_KG_M3 * self.drag_coefficient * area_m2 / (2 * self.mass_kg))
+        # in air at 20 degrees Celsius and 101.3 kPa
+        return float(1.204 * self.drag_coefficient * area_m2 / (2 * self.mass_kg))
 
     def dropped(self, drop_m: float) -> RealBall:
         """Drop this ball from a height, with the restitution at its impact speed."""
@@ -472,17 +475,8 @@ RATE_HZ = 960.0  # of steps: a ball at 5 m/s goes 5 mm in one, a sixth of its ra
 RADIUS_M, MASS_KG = 0.03, 0.040  # of every ball: about a racquetball's
 FRICTION = 0.25  # Coulomb's coefficient, at all that a ball hits
 
-_AIR_KG_M3 = 1.2
-_DRAG_COEFFICIENT = 0.47
-DRAG_1_M = 0.5 * _AIR_KG_M3 * _DRAG_COEFFICIENT * math.pi * RADIUS_M**2 / MASS_KG
-_SPEED_M_S = 3.0  # impact speed to which `HiddenBall.restitution` belongs
-_MAX_HIDDEN_RESTITUTION = 0.95  # of the slowest impacts: the power law alone would pass 1
+DRAG_1_M = 0.5 * 1.2 * 0.47 * math.pi * RADIUS_M**2 / MASS_KG  # in air of 1.2 kg/m³, Cd .47
 _AT_REST_M_S = 0.03  # slower impacts give no rebound: a ball comes to rest
-# Along the normal after an impact, so that the next step does not start inside.
-_MIN_OUT_M_S = 0.003
-
-_HALVINGS = 40  # bisections of a step that find a contact: 1 / 960 s over 2^40 is 1e-15 s
-_MAX_IMPACTS_A_STEP = 8  # in one step; then the ball stays where it is until the next
 
 
 @dataclass(frozen=True)
@@ -490,7 +484,7 @@ class HiddenBall:
     """Ball as it is."""
 
     name: str  # as on a label
-    restitution: float  # at 3 m/s
+    restitution: float  # at an impact of 3 m/s
     slope: float  # p, by which it falls with an impact's speed
     # standard deviation of the angle by which an impact's normal is off, in any direction
     off_round_deg: float = 0.0
@@ -502,8 +496,9 @@ class HiddenBall:
 
     def restitution_at(self, speed_m_s: float) -> float:
         """Return the restitution at an impact of this speed along the normal."""
-        ratio = max(speed_m_s, _AT_REST_M_S) / _SPEED_M_S
-        return min(self.restitution * ratio**-self.slope, _MAX_HIDDEN_RESTITUTION)
+        ratio = max(speed_m_s, _AT_REST_M_S) / 3.0
+        # the power law alone would pass 1 at the slowest impacts
+        return min(self.restitution * ratio**-self.slope, 0.95)
 
 
 @dataclass(frozen=True)
@@ -542,7 +537,7 @@ def run_ball(
     positions, hits = [position], []
     for sample in range(1, int(seconds * RATE_HZ) + 1):
         remaining_s = 1 / RATE_HZ
-        for _ in range(_MAX_IMPACTS_A_STEP):
+        for _ in range(8):
             end, end_velocity = _flown(position, velocity, remaining_s)
             hit, used_s = _first_hit(position, velocity, remaining_s, end, obstacles)
             if hit < 0:
@@ -636,7 +631,7 @@ def _first_hit(
         if obstacle.gap(end) >= 0:
             continue
         low, high = 0.0, seconds
-        for _ in range(_HALVINGS):
+        for _ in range(40):
             middle = (low + high) / 2
             if obstacle.gap(_flown(position, velocity, middle)[0]) >= 0:
                 low = middle
@@ -675,7 +670,8 @@ def _impact(
 
 def _kept_out(velocity: Vector, normal: Vector) -> Vector:
     """Keep a ball from leaving into what it hit."""
-    more = _MIN_OUT_M_S - _dot(velocity, normal)
+    # along the normal, so that the next step does not start inside
+    more = 0.003 - _dot(velocity, normal)
     return velocity if more <= 0 else _plus(velocity, normal, more)
 
 
@@ -710,11 +706,7 @@ def _cross(one: Vector, other: Vector) -> Vector:
 
 # ---- A shot in the hidden world, on the rig as it stands there.
 
-# Standard deviations of a robot's release, along each horizontal axis and in height.
-ACROSS_SD_M, HEIGHT_SD_M = 0.0015, 0.002
-
-_RIM_RESTITUTION = 0.55  # of any ball on the hoop's rim: less lively than on the plane
-_MAX_SHOT_S = 4.0  # after which a shot is over: the ball is below the hoop long before
+_RELEASE_SD_M = (0.0015, 0.0015, 0.002)  # of a robot's: along each horizontal axis, in height
 
 
 @dataclass(frozen=True)
@@ -733,31 +725,24 @@ def take_shot(
 ) -> HiddenShot:
     """Drop a ball above the plane with a robot's release error, or none if not `errs`."""
     tilt = math.radians(rig.plane.incline_deg)
-    off = rng.normal(0.0, 1.0, 3) * (ACROSS_SD_M, ACROSS_SD_M, HEIGHT_SD_M) * errs
-    start: Vector = (
-        RADIUS_M * math.sin(tilt) + float(off[0]),
-        float(off[1]),
-        RADIUS_M * math.cos(tilt) + max(height_m + float(off[2]), 0.001),
-    )
+    x, y, z = (rng.normal(0.0, 1.0, 3) * _RELEASE_SD_M * errs).tolist()
+    up_m = max(height_m + z, 0.001)
+    start: Vector = (RADIUS_M * math.sin(tilt) + x, y, RADIUS_M * math.cos(tilt) + up_m)
     hoop = rig.hoop
-    middle = (hoop.forward_m, 0.0, hoop.up_m)
-    rod_m = hoop.rim_m / 2
+    rod_m, rim = hoop.rim_m / 2, 0.55  # restitution on the rim: less lively than on the plane
     obstacles = (
         plane(tilt, rig.plane.downhill_m),
-        ring(middle, hoop.free_radius_m + rod_m, rod_m, _RIM_RESTITUTION),
+        ring((hoop.forward_m, 0.0, hoop.up_m), hoop.free_radius_m + rod_m, rod_m, rim),
     )
-    low_m = hoop.up_m - 3 * RADIUS_M
-    run = run_ball(ball, start, obstacles, _MAX_SHOT_S, rng, is_over=lambda at: at[2] < low_m)
+    low_m = hoop.up_m - 3 * RADIUS_M  # a ball is there long before 4 s
+    run = run_ball(ball, start, obstacles, 4.0, rng, is_over=lambda at: at[2] < low_m)
     path = run.positions_m
     above = path[:, 2] >= hoop.up_m
-    crossings: list[
-        tuple[float, float]
-    ] = []  # x and y where it comes down through the hoop's plane
+    crossings: list[list[float]] = []  # where it comes down through the hoop's plane
     for row in np.flatnonzero(above[:-1] & ~above[1:]):
         part = (path[row, 2] - hoop.up_m) / (path[row, 2] - path[row + 1, 2])
-        x, y, _ = (path[row] + part * (path[row + 1] - path[row])).tolist()
-        crossings.append((x, y))
-    misses = [math.hypot(x - hoop.forward_m, y) for x, y in crossings]
+        crossings.append((path[row] + part * (path[row + 1] - path[row])).tolist())
+    misses = [math.hypot(x - hoop.forward_m, y) for x, y, _ in crossings]
     return HiddenShot(
         is_through=bool(misses) and misses[-1] < hoop.free_radius_m,
         has_touched=any(which == 1 for which, _ in run.hits),
@@ -773,13 +758,6 @@ HELD_S, FILMED_S = 0.25, 2.6  # filmed before and after the release: the fall ta
 MISHAPS = ("edge", "rolls off", "out of view")
 
 _FAR_M = 100.0  # to the edge of a table that no ball leaves
-_FLOOR_M = -0.75  # below a table of common height
-_EDGE_DEG = (10.0, 45.0)  # range of an edge's normal where the ball hits it, from the vertical
-# Fraction of the first impact's speed at which a ball that will leave moves sideways.
-_SIDEWAYS = (0.05, 0.25)
-
-_AWAY_M_S = (0.25, 1.0)  # sideways speed of a ball that goes out of view
-_ONE_CONTACT_S = 0.01  # hits that follow each other faster are one contact
 
 
 @dataclass(frozen=True, eq=False)
@@ -804,11 +782,11 @@ def drop_of(ball: HiddenBall, mishap: str | None, rng: np.random.Generator) -> H
         return HiddenDrop(ball, None, _run(ball, _FAR_M, 0.0, rng))
     heading = float(rng.uniform(0.0, 2 * math.pi))
     if mishap == "edge":
-        beyond_m = RADIUS_M * math.sin(math.radians(rng.uniform(*_EDGE_DEG)))
+        beyond_m = RADIUS_M * math.sin(math.radians(rng.uniform(10.0, 45.0)))
         return HiddenDrop(ball, mishap, _run(ball, -beyond_m, heading, rng))
     first_m_s = math.sqrt(2 * GRAVITY_M_S2 * DROP_M)
     if mishap == "rolls off":
-        speed = float(rng.uniform(*_SIDEWAYS)) * first_m_s
+        speed = float(rng.uniform(0.05, 0.25)) * first_m_s
         state = rng.bit_generator.state
         whole = _run(ball, _FAR_M, heading, rng, speed)
         impacts = impact_seconds(whole)
@@ -819,7 +797,7 @@ def drop_of(ball: HiddenBall, mishap: str | None, rng: np.random.Generator) -> H
         again.bit_generator.state = state
         return HiddenDrop(ball, mishap, _run(ball, edge_m, heading, again, speed))
     heading = math.pi / 2 * float(rng.choice([-1.0, 1.0])) + float(rng.uniform(-0.5, 0.5))
-    path = _run(ball, _FAR_M, heading, rng, float(rng.uniform(*_AWAY_M_S)))
+    path = _run(ball, _FAR_M, heading, rng, float(rng.uniform(0.25, 1.0)))
     impacts = impact_seconds(path)
     leaves_s = float(rng.uniform(impacts[0] / 2, impacts[1]))
     return HiddenDrop(ball, mishap, path, leaves_s, heading)
@@ -828,7 +806,8 @@ def drop_of(ball: HiddenBall, mishap: str | None, rng: np.random.Generator) -> H
 def impact_seconds(run: BallPath) -> Array:
     """Return when the ball hit something [s], shape (N,); hits of one contact count once."""
     samples = np.array([sample for _, sample in run.hits])
-    first = np.diff(samples, prepend=-100) > _ONE_CONTACT_S * RATE_HZ
+    # hits that follow each other faster are one contact
+    first = np.diff(samples, prepend=-100) > 0.01 * RATE_HZ
     return samples[first] / RATE_HZ
 
 
@@ -839,11 +818,11 @@ def _run(
     rng: np.random.Generator,
     sideways_m_s: float = 0.0,
 ) -> BallPath:
-    off = rng.normal(0.0, 1.0, 3) * (ACROSS_SD_M, ACROSS_SD_M, HEIGHT_SD_M)
-    start: Vector = (float(off[0]), float(off[1]), RADIUS_M + DROP_M + float(off[2]))
+    x, y, z = (rng.normal(0.0, 1.0, 3) * _RELEASE_SD_M).tolist()
     speed = (sideways_m_s * math.cos(heading_rad), sideways_m_s * math.sin(heading_rad), 0.0)
-    things = (table(edge_m, heading_rad), plane(up_m=_FLOOR_M))
-    return run_ball(ball, start, things, FILMED_S, rng, speed)
+    floor = plane(up_m=-0.75)  # below a table of common height
+    things = (table(edge_m, heading_rad), floor)
+    return run_ball(ball, (x, y, RADIUS_M + DROP_M + z), things, FILMED_S, rng, speed)
 
 
 # ---- Touches, speeds and contact times of a bounce: the truth behind a sound.
@@ -853,7 +832,6 @@ def _run(
 MIN_HEARD_M_S = 0.06  # a ball that touches more slowly is left lying: nobody hears it
 _MAX_BOUNCES = 60
 _MAX_RESTITUTION = 0.975
-_HERTZ = -0.2  # a contact lasts as the speed to this power (Hertz 1881)
 _MIN_DRAG_1_M = 1e-7
 
 
@@ -914,7 +892,8 @@ def bounced(order: BounceOrder) -> BounceHistory:
     while speed > MIN_HEARD_M_S and len(rows) < _MAX_BOUNCES:
         by_law = min(order.restitution * (speed / first) ** -order.slope, _MAX_RESTITUTION)
         kept = min(by_law * float(np.exp(own[len(rows)])), _MAX_RESTITUTION)
-        contact = order.contact_s * speed**_HERTZ
+        # a contact lasts as the speed to this power (Hertz 1881)
+        contact = order.contact_s * speed ** (-0.2)
         rows.append((clock, contact, speed, kept, by_law))
         flight_s, speed = flight_of(kept * speed, drag)
         clock += contact + flight_s

@@ -125,17 +125,9 @@ SIZES_PX = (
     *((720, 1280), (848, 480), (960, 540), (1280, 720), (1280, 960)),
 )
 
-# Where people stand: lens, distance [drop heights], elevation, and standard deviation of the roll.
-_VIEW_FOV_DEG = (35.0, 65.0)
-_VIEW_AWAY = (1.2, 4.0)
-_VIEW_ELEVATION_DEG = (-5.0, 45.0)
-_ROLL_DEG = 3.0
+_ROLL_DEG = 3.0  # standard deviation of a camera's
 
 _MIN_SPAN = 0.35  # of the fall, over the picture's height
-_RADIUS_PX = (2.5, 60.0)  # of the ball: smaller is a speck, larger fills the picture
-_VIEW_MARGIN_PX = 3.0  # between the ball and the frame
-_MIN_EYE_M = 0.05  # height of the camera over the floor
-_TRIES = 60  # before a ball of another size is drawn
 
 
 def random_view(
@@ -144,24 +136,24 @@ def random_view(
     radius_m: float,
     sizes_px: Sequence[tuple[int, int]] = SIZES_PX,
 ) -> View | None:
-    """Draw a camera with the whole fall in view, at a fair size; None after `_TRIES`."""
+    """Draw a camera where people stand, the whole fall in view at a fair size; None if too hard."""
     size = sizes_px[int(rng.integers(len(sizes_px)))]
     path = upright(radius_m + np.array([0.0, drop_m]))
-    for _ in range(_TRIES):
-        distance = drop_m * rng.uniform(*_VIEW_AWAY) + 4 * radius_m
-        elevation = np.radians(rng.uniform(*_VIEW_ELEVATION_DEG))
+    for _ in range(60):
+        distance = drop_m * rng.uniform(1.2, 4.0) + 4 * radius_m
+        elevation = np.radians(rng.uniform(-5.0, 45.0))
         aim = radius_m + drop_m * rng.uniform(0.35, 0.6)
         position = (-distance * np.cos(elevation), 0.0, aim + distance * np.sin(elevation))
         target = (0.0, drop_m * rng.normal(0.0, 0.15), aim)
-        focal = _focal_px(rng.uniform(*_VIEW_FOV_DEG), size[1])
+        focal = _focal_px(rng.uniform(35.0, 65.0), size[1])
         view = View(position, target, focal, size, float(np.radians(rng.normal(0.0, _ROLL_DEG))))
-        if position[2] <= max(_MIN_EYE_M, 1.5 * radius_m):
+        if position[2] <= max(0.05, 1.5 * radius_m):  # an eye on the floor
             continue
         pixels, radius_px = view.image_from_world(path), view.radius_px(path, radius_m)
-        margin = _VIEW_MARGIN_PX + 1.2 * radius_px.max()
+        margin = 3.0 + 1.2 * radius_px.max()
         inside = (pixels > margin) & (pixels < np.array(size) - 1 - margin)
-        least, most = _RADIUS_PX
-        fair = least < radius_px.min() and radius_px.max() < min(most, 0.08 * max(size))
+        # a smaller ball is a speck, a larger one fills the picture
+        fair = radius_px.min() > 2.5 and radius_px.max() < min(60.0, 0.08 * max(size))
         if inside.all() and fair and np.ptp(pixels[:, 1]) > _MIN_SPAN * size[1]:
             return view
     return None
@@ -170,26 +162,21 @@ def random_view(
 # ---- Cameras before the hidden world's drops.
 
 HIDDEN_SIZE_PX = (640, 480)
-_HIDDEN_AWAY_M = (1.5, 3.0)
-_HIDDEN_ELEVATION_DEG = (-5.0, 35.0)
-_HIDDEN_FOV_DEG = (36.0, 62.0)
-_HIDDEN_ROLL_DEG = 2.0
 _HIDDEN_MARGIN_PX = 20.0
-_LOWEST_M = 0.1
 
 
 def drop_view(rng: np.random.Generator) -> View:
     """Draw a camera 1.5 to 3 m away with the whole fall in view, at a fair size."""
     fall_m = upright(RADIUS_M + np.array([0.0, DROP_M]))
     while True:
-        distance = rng.uniform(*_HIDDEN_AWAY_M)
-        elevation = np.radians(rng.uniform(*_HIDDEN_ELEVATION_DEG))
+        distance = rng.uniform(1.5, 3.0)
+        elevation = np.radians(rng.uniform(-5.0, 35.0))
         aim = DROP_M * rng.uniform(0.35, 0.6)
-        up = max(aim + distance * np.sin(elevation), _LOWEST_M)
+        up = max(aim + distance * np.sin(elevation), 0.1)
         position = (float(-distance * np.cos(elevation)), 0.0, float(up))
         target = (0.0, float(rng.normal(0.0, 0.1)), float(aim))
-        focal = _focal_px(rng.uniform(*_HIDDEN_FOV_DEG), HIDDEN_SIZE_PX[1])
-        roll = float(np.radians(rng.normal(0.0, _HIDDEN_ROLL_DEG)))
+        focal = _focal_px(rng.uniform(36.0, 62.0), HIDDEN_SIZE_PX[1])
+        roll = float(np.radians(rng.normal(0.0, 2.0)))
         view = View(position, target, focal, HIDDEN_SIZE_PX, roll)
         span_px = np.ptp(view.image_from_world(fall_m)[:, 1])
         if is_well_inside(view, fall_m) and span_px > _MIN_SPAN * HIDDEN_SIZE_PX[1]:
@@ -207,15 +194,9 @@ def is_well_inside(view: View, points_m: Array) -> bool:
 # A pinhole stands anywhere from which a person films a drop. Places have noise and are not rounded.
 
 NOISE_PX = 0.3  # standard deviation of a coordinate
-# Of the camera: distance [drop heights] and elevation, both seen from the middle of the drop, the
-# drop over the picture's height, and how far the ball is from the middle column at most.
-_FILMED_AWAY = (1.5, 5.0)
-_FILMED_ELEVATION_DEG = (-10.0, 35.0)
-_IN_PICTURE = (0.5, 0.85)
-_ASIDE_PX = 40.0
 
-# Standard deviations of what a tracker says: of the vertical's direction and of a radius.
-_PLUMB_DEG, _FILMED_RADIUS_NOISE = 1.0, 0.03
+
+_PLUMB_DEG = 1.0  # standard deviation of a tracker's vertical
 
 
 def filmed(drop: RecordedDrop, radius_m: float, rng: np.random.Generator) -> Track:
@@ -223,20 +204,21 @@ def filmed(drop: RecordedDrop, radius_m: float, rng: np.random.Generator) -> Tra
     fall_m = drop.ball.drop_m
     # of the release and the contact, then of the ball in each picture
     heights = np.concatenate([[fall_m, 0.0], drop.truth_m(drop.seconds)])
-    away = fall_m * rng.uniform(*_FILMED_AWAY)
-    elevation = np.radians(rng.uniform(*_FILMED_ELEVATION_DEG))
+    # the camera's distance and elevation are seen from the middle of the drop
+    away = fall_m * rng.uniform(1.5, 5.0)
+    elevation = np.radians(rng.uniform(-10.0, 35.0))
     elevation = max(elevation, -np.arctan2(0.4 * fall_m, away))  # not from under the table
     up = heights - fall_m / 2
     depth_m = away - up * np.sin(elevation)
     rows = -up * np.cos(elevation) / depth_m
-    focal_px = rng.uniform(*_IN_PICTURE) * SIZE_PX[1] / float(rows[1] - rows[0])
+    focal_px = rng.uniform(0.5, 0.85) * SIZE_PX[1] / float(rows[1] - rows[0])
     down = focal_px * (rows - (rows[0] + rows[1]) / 2)
-    across = np.full_like(down, rng.uniform(-_ASIDE_PX, _ASIDE_PX)) * away / depth_m
+    across = np.full_like(down, rng.uniform(-40.0, 40.0)) * away / depth_m
     pixels = np.column_stack([across, down]) @ _turn(np.radians(rng.normal(0.0, _ROLL_DEG))).T
     pixels += (np.array(SIZE_PX) - 1) / 2
     noise = rng.normal(0.0, 1.0, (len(pixels), 3))
     places = pixels[2:] + NOISE_PX * noise[2:, :2]
-    radii = focal_px * radius_m / depth_m[2:] * (1 + _FILMED_RADIUS_NOISE * noise[2:, 2])
+    radii = focal_px * radius_m / depth_m[2:] * (1 + 0.03 * noise[2:, 2])
     lost = ~np.all((places > 0) & (places < np.array(SIZE_PX) - 1), axis=1)
     plumb = (pixels[1] - pixels[0]) * GRAVITY_M_S2 / drop.ball.drop_m
     gravity_px = _turn(np.radians(rng.normal(0.0, _PLUMB_DEG))) @ plumb
@@ -267,32 +249,19 @@ def found_track(
 # The world's origin is the middle of the ball where it touches the table, z is up.
 
 PAPER_RADIUS_M = 0.5
-# The paper's is 40 degrees, at which a fifth of its drops are cut off by the frame.
-PAPER_FOV_DEG = (40.0, 60.0)
-
-_PAPER_REACH_M = (5.0, 10.0)
-_PAPER_HEIGHT_M = (5.0, 8.0)
-_PAPER_AIM_M = 2.0  # of its camera, from the plane that the ball hits; see `paper_viewpoint`
-_FALLS_AWAY = (0.8, 4.0)
-_VIEWPOINT_ELEVATION_DEG = (-25.0, 50.0)
-_VIEWPOINT_ROLL_DEG = 4.0
-_DROP_IN_PICTURE = (0.4, 0.85)
-_VIEWPOINT_FOV_DEG = (15.0, 90.0)  # of any camera: see `any_viewpoint`
-_VIEWPOINT_MARGIN_PX = 2.0  # between a ball and the frame, at the start and at the contact
 
 
 def paper_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) -> View:
-    """Draw the paper's camera, with all of the drop in view.
+    """Draw the paper's camera (Allevato et al. 2019, experiment 3), with all of the drop in view.
 
-    r ~ U(5, 10) m, theta ~ U(0, 2 pi), z ~ U(5, 8) m, aimed at (0, 0, 2) m over the table (Allevato
-    et al. 2019, experiment 3).
+    r ~ U(5, 10) m, theta ~ U(0, 2 pi), z ~ U(5, 8) m, aimed at (0, 0, 2) m over the table. Its lens
+    is of 40 degrees, at which a fifth of its drops are cut off by the frame; here of up to 60.
     """
     while True:
-        reach, theta = rng.uniform(*_PAPER_REACH_M), rng.uniform(0.0, 2 * np.pi)
-        up = rng.uniform(*_PAPER_HEIGHT_M)
+        reach, theta = rng.uniform(5.0, 10.0), rng.uniform(0.0, 2 * np.pi)
+        up = rng.uniform(5.0, 8.0)
         position = (reach * np.cos(theta), reach * np.sin(theta), up - radius_m)
-        focal = _focal_px(rng.uniform(*PAPER_FOV_DEG))
-        view = View(position, (0.0, 0.0, _PAPER_AIM_M - radius_m), focal)
+        view = View(position, (0.0, 0.0, 2.0 - radius_m), _focal_px(rng.uniform(40.0, 60.0)))
         if _shows_the_drop(view, drop_m, radius_m):
             return view
 
@@ -305,29 +274,25 @@ def any_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) -> V
     lens of 15 to 90 degrees that does so.
     """
     while True:
-        away = drop_m * float(np.exp(rng.uniform(*np.log(_FALLS_AWAY))))
-        above = np.radians(rng.uniform(*_VIEWPOINT_ELEVATION_DEG))
-        theta = rng.uniform(0.0, 2 * np.pi)
+        away = drop_m * float(np.exp(rng.uniform(*np.log((0.8, 4.0)))))
+        above, theta = np.radians(rng.uniform(-25.0, 50.0)), rng.uniform(0.0, 2 * np.pi)
         aside, up = drop_m * rng.normal(0.0, 0.1, 2), drop_m * rng.uniform(0.35, 0.6)
-        position = (
-            away * np.cos(above) * np.cos(theta),
-            away * np.cos(above) * np.sin(theta),
-            up + away * np.sin(above),
-        )
+        flat = away * np.cos(above)
+        position = (flat * np.cos(theta), flat * np.sin(theta), up + away * np.sin(above))
         aim = (float(aside[0]), float(aside[1]), up)
-        roll = float(np.radians(rng.normal(0.0, _VIEWPOINT_ROLL_DEG)))
-        wanted = rng.uniform(*_DROP_IN_PICTURE) * SIZE_PX[1]
+        roll = float(np.radians(rng.normal(0.0, 4.0)))
+        wanted = rng.uniform(0.4, 0.85) * SIZE_PX[1]
         focal = float(wanted / np.linalg.norm(View(position, aim, 1.0).plumb_px(drop_m)))
         view = View(position, aim, focal, roll_rad=roll)
-        longest, shortest = map(_focal_px, _VIEWPOINT_FOV_DEG)
-        fits = shortest <= focal <= longest and position[2] > 0
+        fits = _focal_px(90.0) <= focal <= _focal_px(15.0) and position[2] > 0
         if fits and _shows_the_drop(view, drop_m, radius_m):
             return view
 
 
 def _shows_the_drop(view: View, drop_m: float, radius_m: float) -> bool:
+    """Check whether the start and the contact are in the frame, with 2 px to spare."""
     path = upright(np.array([0.0, drop_m]))
-    spare_m = _VIEWPOINT_MARGIN_PX * float(view.depths_m(path).max()) / view.focal_px
+    spare_m = 2.0 * float(view.depths_m(path).max()) / view.focal_px
     return bool(view.shows(path, radius_m + spare_m).all())
 
 
@@ -339,22 +304,6 @@ WIDE: Range = (0.1, 0.95)  # restitutions: the paper's, and nearly all
 TABLE_TENNIS_RADIUS_M = 0.020
 # Air of 1.2 kg/m3 on a ball of 2.7 g, Cd 0.47.
 TABLE_TENNIS_DRAG_1_M = 0.5 * 1.2 * 0.47 * np.pi * TABLE_TENNIS_RADIUS_M**2 / 0.0027
-
-_RADII = (0.015, 0.06)  # of balls, over the drop height
-_HELD_S = (0.0, 0.6)  # from the first picture to the release, where the rig is not free
-# Of free rigs, in fall times: the first picture is up to the one before the release or up to the
-# other after it; and how many pictures a fall has.
-_FROM_FALLS, _FRAMES_A_FALL = (-0.6, 0.4), (6.0, 150.0)
-
-_MAX_LOST = 0.1  # up to this share of the pictures lack the ball
-_GAPS, _GAP_FALLS = 0.3, (0.05, 0.3)  # this share of the tracks has a gap, of so many fall times
-
-_EARLY_ENDS = 0.1  # this share of the tracks ends early
-_EARLY_FALLS = (2.0, 4.0)  # so many fall times after the release
-# Least fraction of the first flight's pictures that show the ball: it is what is measured.
-_SEEN_OF_FLIGHT = 0.6
-
-_RADIUS_NOISE = 0.05  # standard deviation of a radius, over it
 
 
 @dataclass(frozen=True)
@@ -417,7 +366,7 @@ def draw_scene(
     drop_m = float(rng.uniform(*which.drop_m))
     restitution, slope = rng.uniform(*balls.restitution), rng.uniform(*balls.slope)
     ball = RealBall(float(restitution), float(slope), balls.drag_1_m, drop_m)
-    radius_m = which.radius_m or drop_m * float(rng.uniform(*_RADII))
+    radius_m = which.radius_m or drop_m * float(rng.uniform(0.015, 0.06))
     view = (paper_viewpoint if which.paper else any_viewpoint)(rng, drop_m, radius_m)
     seconds = _seconds(which, ball, rng)
     lost = _lost(ball, seconds, rng) if which.free else np.zeros(len(seconds), dtype=bool)
@@ -450,7 +399,7 @@ def track_from_pixels(scene: TrackScene, centers_px: Array, radius_px: Array, lo
     noise = rng.normal(0.0, 1.0, (len(scene.seconds), 3))
     turn = _turn(np.radians(rng.normal(0.0, _PLUMB_DEG)))
     places_px = np.round(centers_px + scene.noise_px * noise[:, :2])
-    radii = np.maximum(np.round(2 * radius_px * (1 + _RADIUS_NOISE * noise[:, 2])) / 2, 0.5)
+    radii = np.maximum(np.round(2 * radius_px * (1 + 0.05 * noise[:, 2])) / 2, 0.5)
     plumb = scene.view.plumb_px(scene.ball.drop_m) * GRAVITY_M_S2 / scene.ball.drop_m
     stamps_ns = np.round((scene.seconds - scene.seconds[0]) * 1e9).astype(np.int64)
     return found_track(stamps_ns, places_px, radii, lost, turn @ plumb)
@@ -459,24 +408,26 @@ def track_from_pixels(scene: TrackScene, centers_px: Array, radius_px: Array, lo
 def _seconds(which: TrackSet, ball: RealBall, rng: np.random.Generator) -> Array:
     lasts = rng.uniform(*which.lasts) * ball.fall_s
     if not which.free:
-        return np.arange(-rng.uniform(*_HELD_S), lasts, 1 / 60)
-    if rng.random() < _EARLY_ENDS:
-        lasts = rng.uniform(*_EARLY_FALLS) * ball.fall_s
-    seen = rng.choice(_FROM_FALLS) * rng.random() * ball.fall_s
-    return np.arange(seen, lasts, ball.fall_s / rng.uniform(*_FRAMES_A_FALL))
+        return np.arange(-rng.uniform(0.0, 0.6), lasts, 1 / 60)
+    if rng.random() < 0.1:  # ends early
+        lasts = rng.uniform(2.0, 4.0) * ball.fall_s
+    # The first picture is up to .6 fall times before the release, or up to .4 after it.
+    seen = rng.choice((-0.6, 0.4)) * rng.random() * ball.fall_s
+    return np.arange(seen, lasts, ball.fall_s / rng.uniform(6.0, 150.0))
 
 
 def _lost(ball: RealBall, seconds: Array, rng: np.random.Generator) -> Mask:
-    """Draw lost pictures, at times a gap too; most of the first flight is seen."""
+    """Draw lost pictures, up to a tenth, in 3 of 10 tracks a gap too."""
     impacts = drop_ball(ball, np.append(seconds, 4 * ball.fall_s)).impacts_s
     flight = (seconds > impacts[0]) & (seconds < impacts[1])
     while True:
-        lost = rng.random(len(seconds)) < rng.uniform(0.0, _MAX_LOST)
-        if rng.random() < _GAPS:
+        lost = rng.random(len(seconds)) < rng.uniform(0.0, 0.1)
+        if rng.random() < 0.3:
             start = rng.uniform(-0.5, 3.0) * ball.fall_s
-            end = start + rng.uniform(*_GAP_FALLS) * ball.fall_s
+            end = start + rng.uniform(0.05, 0.3) * ball.fall_s
             lost |= (seconds > start) & (seconds < end)
-        if not flight.any() or np.mean(~lost[flight]) >= _SEEN_OF_FLIGHT:
+        # most of the first flight is seen: it is what is measured
+        if not flight.any() or np.mean(~lost[flight]) >= 0.6:
             return lost
 
 
@@ -484,15 +435,7 @@ def _lost(ball: RealBall, seconds: Array, rng: np.random.Generator) -> Mask:
 # Made from a scene that lasts for six fall times at least, and a random generator: points [m],
 # shape (T, 3), at the times of the scene's pictures.
 
-# Fraction of the first impact's speed at which a ball that will roll off moves sideways.
-_SIDEWAYS = (0.05, 0.25)
-
-_BELOW = (0.3, 1.5)  # from the table down to the next thing that it hits [drop heights]
-_TILT_DEG = (10.0, 45.0)  # of an edge's normal where the ball hits it, from the vertical
-# Fraction of the way to the camera that a drifting ball goes in a fall time.
-_TOWARDS = (0.05, 0.15)
-
-_CATCH_FALLS = (0.05, 0.15)  # how long hands give way [fall times]
+_BELOW = (0.3, 1.5)  # from the table down to the next thing that a ball hits [drop heights]
 
 
 def rolls_off(scene: TrackScene, rng: np.random.Generator) -> Array:
@@ -505,7 +448,7 @@ def rolls_off(scene: TrackScene, rng: np.random.Generator) -> Array:
         off_s, speed = landed_s + scene.ball.fall_s * rng.uniform(0.0, 1.0), 0.0
     below = _from_above(scene, off_s, scene.ball.drop_m * rng.uniform(*_BELOW), -speed)
     heights = np.where(scene.seconds < landed_s, fall.heights_m, below)
-    sideways_m_s = rng.uniform(*_SIDEWAYS) * fall.impact_speeds_m_s[0]
+    sideways_m_s = rng.uniform(0.05, 0.25) * fall.impact_speeds_m_s[0]
     return _moving(scene, heights, fall.impacts_s[0], sideways_m_s, rng)
 
 
@@ -513,7 +456,7 @@ def edge(scene: TrackScene, rng: np.random.Generator, hit: int) -> Array:
     """Rebound from an edge of a table or tile about a tilted normal, and go on beside it."""
     fall = scene.fall()
     at_s, speed = fall.impacts_s[hit], fall.impact_speeds_m_s[hit]
-    tilt = np.radians(rng.uniform(*_TILT_DEG))
+    tilt = np.radians(rng.uniform(10.0, 45.0))
     kept = (1 + scene.ball.restitution) * speed * np.cos(tilt)
     up_m_s, sideways_m_s = kept * np.cos(tilt) - speed, kept * np.sin(tilt)
     is_table = rng.random() < 0.5
@@ -565,7 +508,7 @@ def caught(scene: TrackScene, rng: np.random.Generator) -> Array:
 def drifts(scene: TrackScene, rng: np.random.Generator) -> Array:
     """Drift towards the camera or away from the release on."""
     towards = np.array([*scene.view.position_m[:2], 0.0])
-    rate = rng.choice([-1.0, 1.0]) * rng.uniform(*_TOWARDS)
+    rate = rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 0.15)
     gone = np.maximum(scene.seconds, 0.0) / scene.ball.fall_s * rate
     return upright(scene.fall().heights_m) + gone[:, None] * towards
 
@@ -602,7 +545,7 @@ def _moving(
 
 def _given_way(scene: TrackScene, since: Array, speed: float, rng: np.random.Generator) -> Array:
     """Return how far a hand that catches at that upward speed goes with it."""
-    slow_s = scene.ball.fall_s * rng.uniform(*_CATCH_FALLS)
+    slow_s = scene.ball.fall_s * rng.uniform(0.05, 0.15)
     after = np.maximum(since, 0.0)
     return speed * after * np.exp(-after / slow_s)
 
@@ -619,8 +562,6 @@ FAULT_SET = replace(B, name="bad", lasts=(6.0, 8.0))
 FAULT_BALLS = BallRanges((0.3, 0.9))
 
 _FRAMES = 20  # that a camera freezes for or loses
-_LOST_FRACTION = 0.1  # of frames that are lost here and there
-_FAR_PX = 30.0  # from the ball to what a tracker jumps to: more than a ball's width
 _EDGE_PX = 8.0  # from the frame to where other objects are
 
 
@@ -698,7 +639,7 @@ def _all_but_20(scene: TrackScene, rng: np.random.Generator) -> Mask:
 
 
 def _some(scene: TrackScene, rng: np.random.Generator) -> Mask:
-    return rng.random(len(scene.seconds)) >= _LOST_FRACTION
+    return rng.random(len(scene.seconds)) >= 0.1
 
 
 def _every_second(scene: TrackScene, rng: np.random.Generator) -> Mask:
@@ -716,7 +657,7 @@ def _jumps(scene: TrackScene, rng: np.random.Generator) -> Track:
     )
     away[start : start + 3] = True
     place = _anywhere(rng)
-    while np.linalg.norm(ball.places_px[away] - place, axis=1).min() < _FAR_PX:
+    while np.linalg.norm(ball.places_px[away] - place, axis=1).min() < 30.0:
         place = _anywhere(rng)
     other = _object(replace(scene, seed=scene.seed + 1), np.tile(place, (len(away), 1)))
     return replace(

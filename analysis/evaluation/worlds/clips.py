@@ -45,8 +45,7 @@ from tunenet_logs.writing.writer import EpisodeWriter
 # ---- Static scene: a textured floor, a wall behind it, a light.
 
 _TEXTURE_PX = 512  # side of a texture, which is repeated
-_WALL_FALLS = (0.3, 1.5)  # from the ball to the wall behind it [drop heights]
-_WALL_TURN_RAD = 0.6  # most that the wall is turned about the vertical
+
 _FINER = 2  # points along each side of a pixel, whose mean is its colour (antialiasing)
 
 
@@ -64,8 +63,8 @@ def draw_stage(view: View, drop_m: float, rng: np.random.Generator) -> Stage:
     """Render a floor and a wall of random colour, texture and light, as the camera sees them."""
     import cv2
 
-    wall_m = drop_m * rng.uniform(*_WALL_FALLS)
-    turn = rng.uniform(-_WALL_TURN_RAD, _WALL_TURN_RAD)
+    wall_m = drop_m * rng.uniform(0.3, 1.5)
+    turn = rng.uniform(-0.6, 0.6)  # of the wall about the vertical
     floor, wall = _texture(rng), _texture(rng)
     floor_scale, wall_scale = (drop_m * rng.uniform(0.3, 1.5) / _TEXTURE_PX for _ in range(2))
     width, height = view.size_px
@@ -271,17 +270,10 @@ def _add_shadow(frame: Picture, view: View, stage: Stage, look: BallLook, center
 
 # ---- Content of a clip, drawn at random: the ball, rig, room and bystanders.
 
-DROPS_M = (0.2, 2.0)
 RESTITUTION = (0.1, 0.95)
 RATES_HZ = (30.0, 120.0)  # drawn evenly: what a person films at home with a phone
-EXPOSURE_S = 0.008
 NOISE = 6.0  # the most: a room's light; standard deviation of a pixel, of 255
-_RADIUS_M = (0.012, 0.06)  # from a marble to a small football
-_FALLS = (5.0, 9.0)
 _MAX_S = 4.0  # filmed after the release: so many fall times, but no longer than that
-# Of 255, in the colour that differs most, on nearly all and on half of the way of the fall: what a
-# person can follow.
-_MIN_CONTRAST = (20.0, 30.0)
 
 
 @dataclass(frozen=True)
@@ -295,14 +287,7 @@ class Hand:
     grip: tuple[float, float]  # where its middle is, from the ball's [ball radii], right and down
 
 
-@dataclass(frozen=True)
-class Person:
-    """Person who walks through behind the ball."""
-
-    colours: tuple[tuple[int, int, int], ...]  # RGB of head, body and legs
-    from_s: float  # when, after the release
-    height: float  # of the picture's height
-    crossing_s: float  # from one edge to the other; negative from the right
+Passing = Callable[[Picture, float], None]  # adds a person to a frame at a time after the release
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,7 +305,7 @@ class ClipOrder:
     noise: float  # standard deviation of a pixel, of 255
     flicker: float  # amplitude of a lamp's at twice the mains
     hand: Hand | None  # None where the ball is held by nothing that shows
-    person: Person | None  # None where nobody comes
+    person: Passing | None  # None where nobody comes
     as_log: bool  # recorded to MCAP as JPEGs; else to mp4 as H.264
     jpeg_quality: int  # of 100
     h264_factor: int  # constant rate factor; smaller is better
@@ -333,7 +318,7 @@ class ClipOrder:
 def draw_clip(seed: int, index: int) -> ClipOrder:
     """Draw the clip of that number; the same numbers give the same clip."""
     rng = np.random.default_rng([seed, index, 0xC11B])
-    drop_m, restitution = float(rng.uniform(*DROPS_M)), float(rng.uniform(*RESTITUTION))
+    drop_m, restitution = float(rng.uniform(0.2, 2.0)), float(rng.uniform(*RESTITUTION))
     return draw_clip_of(RealBall(restitution, 0.0, 0.0, drop_m), rng)
 
 
@@ -342,7 +327,7 @@ def draw_clip_of(
 ) -> ClipOrder:
     """Draw a clip of this ball, with images of one of these sizes."""
     while True:
-        radius_m = float(rng.uniform(*_RADIUS_M))
+        radius_m = float(rng.uniform(0.012, 0.06))
         view = random_view(rng, ball.drop_m, radius_m, sizes_px)
         if view is not None:
             break
@@ -357,8 +342,8 @@ def draw_clip_of(
         look=look,
         rate_hz=rate_hz,
         held_s=float(rng.uniform(0.1, 0.8)),
-        length_s=float(min(rng.uniform(*_FALLS) * fall_s + 0.3, _MAX_S)),
-        exposure_s=float(rng.uniform(0.0, min(EXPOSURE_S, 0.95 / rate_hz))),
+        length_s=float(min(rng.uniform(5.0, 9.0) * fall_s + 0.3, _MAX_S)),
+        exposure_s=float(rng.uniform(0.0, min(0.008, 0.95 / rate_hz))),
         noise=float(rng.uniform(0.0, NOISE)),
         flicker=float(rng.choice([0.0, 0.0, 0.0, rng.uniform(0.0, 0.03)])),
         hand=_hand(rng) if rng.random() < 0.65 else None,
@@ -386,7 +371,7 @@ def _visible_look(
     )
     while True:
         apart = np.quantile(_contrasts(look, view, stage, ball.drop_m), [0.15, 0.5])
-        if (apart > _MIN_CONTRAST).all():
+        if (apart > (20.0, 30.0)).all():
             return look
         look = replace(look, colour=_ball_colour(rng))
 
@@ -415,10 +400,8 @@ def _contrasts(look: BallLook, view: View, stage: Stage, drop_m: float) -> Array
 def _hand(rng: np.random.Generator) -> Hand:
     tone = rng.uniform(0.3, 1.0)
     red, green, blue = (int(tone * part) for part in (225, 170, 140))
-    angle = rng.uniform(-2.6, -0.5)  # from above
-    speed = rng.uniform(0.0, 12.0)
-    away = angle + rng.normal(0.0, 0.4)
-    reach = rng.uniform(0.8, 1.4)
+    angle, speed = rng.uniform(-2.6, -0.5), rng.uniform(0.0, 12.0)  # it comes from above
+    away, reach = angle + rng.normal(0.0, 0.4), rng.uniform(0.8, 1.4)
     return Hand(
         colour=(red, green, blue),
         covers=bool(rng.random() < 0.5),
@@ -428,27 +411,37 @@ def _hand(rng: np.random.Generator) -> Hand:
     )
 
 
-def _person(rng: np.random.Generator, fall_s: float) -> Person:
-    colours = rng.integers(20, 220, (3, 3))
-    return Person(
-        colours=tuple((int(red), int(green), int(blue)) for red, green, blue in colours),
-        from_s=float(fall_s * rng.uniform(1.5, 4.0)),
-        height=float(rng.uniform(0.5, 1.1)),
-        crossing_s=float(rng.choice([-1, 1]) * rng.uniform(1.5, 4.0)),
-    )
+def _person(rng: np.random.Generator, fall_s: float) -> Passing:
+    """Draw a person who walks from one edge to the other; return what adds them to a frame."""
+    head, body, legs = (tuple(map(int, one)) for one in rng.integers(20, 220, (3, 3)))  # RGB
+    from_s, tall_share = fall_s * rng.uniform(1.5, 4.0), rng.uniform(0.5, 1.1)
+    way, crossing_s = rng.choice([-1, 1]), rng.uniform(1.5, 4.0)
+
+    def add(frame: Picture, second: float) -> None:
+        import cv2
+
+        crossed = (second - from_s) / crossing_s
+        if second < from_s or crossed > 1:
+            return
+        height, width = frame.shape[:2]
+        tall = tall_share * height
+        x = -0.2 * tall + (crossed if way > 0 else 1 - crossed) * (width + 0.4 * tall)
+        foot = 0.95 * height
+        swing = 0.12 * tall * float(np.sin(2 * np.pi * 0.9 * second))
+        top = foot - tall
+        for side in (-1, 1):
+            ends = (round(x), round(foot - 0.45 * tall)), (round(x + side * swing), round(foot))
+            cv2.line(frame, *ends, legs, max(2, round(0.07 * tall)), cv2.LINE_AA)
+        low, high = round(foot - 0.42 * tall), round(top + 0.14 * tall)
+        cv2.rectangle(frame, (round(x - 0.1 * tall), high), (round(x + 0.1 * tall), low), body, -1)
+        cv2.circle(frame, (round(x), round(top + 0.07 * tall)), round(0.07 * tall), head, -1)
+
+    return add
 
 
 # ---- Frames of a clip, with the true position of its ball.
 
-_MAX_SUBFRAMES = 16  # positions of the ball while a shutter is open: enough for a smooth streak
-# A ball that moves less while the shutter is open is drawn once, one that moves more 16 times, and
-# every other one four times.
-_STILL_PX, _FAST_PX = 0.2, 4.0
-
-_MAINS_HZ = 50.0  # Europe's: lamps flicker at twice this
-_NOISE_PICTURES = 3  # drawing noise for each frame anew would take longer than all the rest
 _NOISE_MARGIN_PX = 64  # by how much a noise picture is larger than a frame, to be cut out anywhere
-_MIN_NOISE = 0.05  # of 255: less would be rounded away
 
 
 def frame_seconds(order: ClipOrder) -> Array:
@@ -459,9 +452,8 @@ def frame_seconds(order: ClipOrder) -> Array:
 
 def centers_m(order: ClipOrder, seconds: Array) -> Array:
     """Return the ball's centre in the world, shape (T, 3) [m], at `seconds` after the release."""
-    if order.heights_m is not None:
-        return upright(order.heights_m(seconds) + order.look.radius_m)
-    return upright(drop_ball(order.ball, seconds).heights_m + order.look.radius_m)
+    own = order.heights_m or (lambda seconds: drop_ball(order.ball, seconds).heights_m)
+    return upright(own(seconds) + order.look.radius_m)
 
 
 def places_px(order: ClipOrder) -> Array:
@@ -479,7 +471,7 @@ def clip_frames(order: ClipOrder) -> Iterator[Picture]:
     for centers, second in zip(exposed, seconds.tolist(), strict=True):
         frame = order.stage.picture.copy()
         if order.person is not None:
-            _add_person(frame, order.person, second)
+            order.person(frame, second)
         hand = order.hand
         if hand is not None and not hand.covers:
             _add_hand(frame, order, hand, second)
@@ -487,26 +479,25 @@ def clip_frames(order: ClipOrder) -> Iterator[Picture]:
         if hand is not None and hand.covers:
             _add_hand(frame, order, hand, second)
         if order.flicker:
-            gain = 1 + order.flicker * np.sin(4 * np.pi * _MAINS_HZ * second)
+            gain = 1 + order.flicker * np.sin(4 * np.pi * 50.0 * second)
             frame = np.asarray(cv2.convertScaleAbs(frame, alpha=gain), np.uint8)
         yield noise.added_to(frame)
 
 
 def _exposed(order: ClipOrder, seconds: Array) -> list[Array]:
-    """Return the ball's centres during each frame's exposure, shape (1, 4 or 16, 3) [m] each."""
-    offsets = (np.arange(_MAX_SUBFRAMES) + 0.5) / _MAX_SUBFRAMES - 0.5
-    fine = (seconds[:, None] + offsets * order.exposure_s).ravel()
-    centers = centers_m(order, fine)
-    pixels = order.view.image_from_world(centers).reshape(len(seconds), _MAX_SUBFRAMES, 2)
-    centers = centers.reshape(len(seconds), _MAX_SUBFRAMES, 3)
+    """Return the ball's centres during each frame's exposure, shape (S, 3) [m] each.
+
+    One where it moves by less than .2 px meanwhile, 16 where by more than 4, and four else.
+    """
+    many = 16  # enough for a smooth streak
+    offsets = (np.arange(many) + 0.5) / many - 0.5
+    centers = centers_m(order, (seconds[:, None] + offsets * order.exposure_s).ravel())
+    pixels = order.view.image_from_world(centers).reshape(len(seconds), many, 2)
     ways = np.linalg.norm(np.diff(pixels, axis=1), axis=2).sum(axis=1)
-    chosen = []
-    for way_px, positions in zip(ways.tolist(), centers, strict=True):
-        if way_px < _STILL_PX:
-            chosen.append(positions[_MAX_SUBFRAMES // 2][None])
-        else:
-            chosen.append(positions if way_px > _FAST_PX else positions[1::4])
-    return chosen
+    return [
+        places[many // 2][None] if way_px < 0.2 else places if way_px > 4.0 else places[1::4]
+        for way_px, places in zip(ways, centers.reshape(len(seconds), many, 3), strict=True)
+    ]
 
 
 class SensorNoise:
@@ -518,7 +509,7 @@ class SensorNoise:
         shape = (self._height + _NOISE_MARGIN_PX, self._width + _NOISE_MARGIN_PX, 3)
         self._pictures = [
             np.round(rng.standard_normal(shape, np.float32) * noise).astype(np.int16)
-            for _ in range(_NOISE_PICTURES if noise > _MIN_NOISE else 0)
+            for _ in range(3 if noise > 0.05 else 0)
         ]
 
     def added_to(self, frame: Picture) -> Picture:
@@ -545,11 +536,10 @@ def _add_hand(frame: Picture, order: ClipOrder, hand: Hand, second: float) -> No
     x, y = x + radius * hand.grip[0], below + radius * hand.grip[1]
     away = max(after - hand.follows_s, 0.0)
     x, y = x + radius * hand.leaves[0] * away, y + radius * hand.leaves[1] * away
-    reach = 4 * max(frame.shape[:2])
-    length = np.hypot(*hand.grip)
+    reach, length = 4 * max(frame.shape[:2]), np.hypot(*hand.grip)
     far = (x + reach * hand.grip[0] / length, y + reach * hand.grip[1] / length)
-    palm = (round(16 * float(x)), round(16 * float(y)))
-    elbow = (round(16 * float(far[0])), round(16 * float(far[1])))
+    # in sixteenths of a pixel
+    palm, elbow = ((round(16 * float(x)), round(16 * float(y))) for x, y in ((x, y), far))
     if max(map(abs, palm)) > 2**18:
         return
     thick = max(1, round(0.9 * radius))
@@ -557,31 +547,6 @@ def _add_hand(frame: Picture, order: ClipOrder, hand: Hand, second: float) -> No
     axes = (round(16 * 1.0 * radius), round(16 * 0.8 * radius))
     turn = float(np.degrees(np.arctan2(hand.grip[1], hand.grip[0])))
     cv2.ellipse(frame, palm, axes, turn, 0, 360, hand.colour, -1, cv2.LINE_AA, 4)
-
-
-def _add_person(frame: Picture, person: Person, second: float) -> None:
-    """Draw a person walking from one edge to the other."""
-    import cv2
-
-    if second < person.from_s:
-        return
-    height, width = frame.shape[:2]
-    tall = person.height * height
-    crossed = (second - person.from_s) / abs(person.crossing_s)
-    if crossed > 1:
-        return
-    crossed = crossed if person.crossing_s > 0 else 1 - crossed
-    x = -0.2 * tall + crossed * (width + 0.4 * tall)
-    foot = 0.95 * height
-    swing = 0.12 * tall * float(np.sin(2 * np.pi * 0.9 * second))
-    head, body, legs = person.colours
-    top = foot - tall
-    for side in (-1, 1):
-        ends = (round(x), round(foot - 0.45 * tall)), (round(x + side * swing), round(foot))
-        cv2.line(frame, *ends, legs, max(2, round(0.07 * tall)), cv2.LINE_AA)
-    low, high = round(foot - 0.42 * tall), round(top + 0.14 * tall)
-    cv2.rectangle(frame, (round(x - 0.1 * tall), high), (round(x + 0.1 * tall), low), body, -1)
-    cv2.circle(frame, (round(x), round(top + 0.07 * tall)), round(0.07 * tall), head, -1)
 
 
 # ---- Files as users have them: a phone's mp4, or a log of JPEGs.
@@ -719,12 +684,7 @@ def add_sound(
 # ---- Film of a hidden drop by a camera of unknown pose: pictures in a log, or a track.
 
 FRAME_HZ = 60.0
-FILM_EXPOSURE_S = 0.004
-FILM_NOISE = 4.0
 TRACK_NOISE_PX = 0.15  # of a projected track: what the tracker has on such films
-_SUBFRAMES = 6
-_QUALITY = 85
-_MIN_FILM_CONTRAST = 35.0
 _COLOURS = {
     "red gel": (205, 40, 50),
     "racquetball": (40, 70, 190),
@@ -733,7 +693,6 @@ _COLOURS = {
     "lacrosse": (235, 235, 230),
     "super": (120, 40, 150),
 }
-_TURNS = 4  # until a camera is turned as it should: each gets nearer
 
 
 @dataclass(frozen=True, eq=False)
@@ -757,7 +716,7 @@ def film_of(drop: HiddenDrop, rng: np.random.Generator) -> DropFilm:
         seed = int(rng.integers(2**31))
         if drop.leaves_s is None:
             return DropFilm(drop, view, seed)
-        for _ in range(_TURNS):
+        for _ in range(4):
             view = _turned_away(view, drop, drop.leaves_s)
         if is_well_inside(view, upright(np.array([RADIUS_M + DROP_M]))):
             return DropFilm(drop, view, seed)
@@ -789,7 +748,7 @@ def record_film(film: DropFilm, path: Path) -> None:
         truth={"restitution": ball.restitution_at(film.drop.impact_m_s)},
         notes={"ball": ball.name},
     )
-    with jpeg_log(path, info, _QUALITY) as add:
+    with jpeg_log(path, info, 85) as add:
         for second, picture in zip((film.seconds + HELD_S).tolist(), _frames(film), strict=True):
             add(picture, second)
 
@@ -822,13 +781,12 @@ def _frames(film: DropFilm) -> Iterator[Picture]:
     )
     while True:  # a room before which a person could follow the ball
         stage = draw_stage(film.view, DROP_M, rng)
-        contrasts = _contrasts(look, film.view, stage, DROP_M)
-        if np.quantile(contrasts, 0.15) > _MIN_FILM_CONTRAST:
+        if np.quantile(_contrasts(look, film.view, stage, DROP_M), 0.15) > 35.0:
             break
-    noise = SensorNoise(rng, film.view.size_px, FILM_NOISE)
-    offsets = ((np.arange(_SUBFRAMES) + 0.5) / _SUBFRAMES - 0.5) * FILM_EXPOSURE_S
+    noise = SensorNoise(rng, film.view.size_px, 4.0)
+    offsets = ((np.arange(6) + 0.5) / 6 - 0.5) * 0.004  # six places in an exposure of 4 ms
     centers = film.drop.path.at((film.seconds[:, None] + offsets).ravel())
-    for places in centers.reshape(-1, _SUBFRAMES, 3):
+    for places in centers.reshape(-1, len(offsets), 3):
         frame = stage.picture.copy()
         shown = places if np.linalg.norm(places[-1] - places[0]) > 5e-4 else places[:1]
         below = replace(look, shadow=0.0) if places[0, 2] < 0 else look

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import cos, sin
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -26,12 +27,7 @@ from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 START_NS = 1_700_000_000_123_456_789  # of all logs, by their own clock
 NOISE = 0.02  # white noise of a sensor, over the standard deviation of what it measures
 GRAVITY_M_S2 = 9.81  # that MuJoCo assumes, and the machines feel
-STATES_HZ, COMMANDS_HZ = 100.0, 50.0
-
-# Standard deviation of the times of samples about an even clock; stamps say when they were taken.
-_JITTER_S = 2e-4
-
-_STANDS_STILL = 1e-9  # standard deviation up to which a column does
+STATES_HZ = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +62,8 @@ def sample_times(length_s: float, rate_hz: float, rng: np.random.Generator) -> A
     """Draw times of samples from 0 on, with jitter, shape (T,) [s]; whole nanoseconds."""
     seconds = np.arange(0.0, length_s, 1 / rate_hz)
     most_s = 0.4 / rate_hz
-    seconds[1:] += np.clip(rng.normal(0.0, _JITTER_S, len(seconds) - 1), -most_s, most_s)
+    # about an even clock; stamps say when they were taken
+    seconds[1:] += np.clip(rng.normal(0.0, 2e-4, len(seconds) - 1), -most_s, most_s)
     return np.round(seconds * 1e9) * 1e-9
 
 
@@ -85,7 +82,7 @@ def recorded(
         size = np.full(len(one.columns), one.noise or 0.0)
         if one.noise is None:
             moved = np.std(one.values, axis=0)
-            size = NOISE * np.where(moved > _STANDS_STILL, moved, np.max(moved))
+            size = NOISE * np.where(moved > 1e-9, moved, np.max(moved))
         sizes[name] = noise * size
         values = one.values + sizes[name] * rng.standard_normal(one.values.shape)
         stamps_ns = START_NS + np.round(1e9 * one.seconds).astype(np.int64)
@@ -109,10 +106,6 @@ _PENDULUM_TUNE = (f"{PENDULUM_DAMPING}=0:0.2", f"{FRICTION}=0:0.3", f"{ARMATURE}
 _LENGTH_S = 8.0
 _MASS_KG, _ARM_M, _INERTIA_KG_M2 = 1.0, 0.4, 0.005
 
-_MAX_REVERSALS = 200
-
-_MIN_RAD_S = 1e-12  # speed that the pendulum has just after a reversal
-_PENDULUM_TOLERANCE = 1e-11
 
 # Dry friction's rows work against the speed that a step would end with: with a damping of 1.9 over
 # the step (3800), friction turns over in the middle of a step in the mean, as dry friction does.
@@ -158,22 +151,19 @@ class Pendulum:
         """
         out = np.empty((len(seconds), 2))
         now_s, angle_rad, last_s = 0.0, self.angle_rad, float(seconds[-1])
-        for _ in range(_MAX_REVERSALS):
+        for _ in range(200):
             left = seconds >= now_s
             if abs(self.pull(angle_rad)) <= self.friction or now_s >= last_s:
                 out[left] = (angle_rad, 0.0)
                 return out
-            way = float(np.sign(self.pull(angle_rad)))
-            end_s, solution, angle_rad = self._until_it_turns(now_s, angle_rad, way, last_s)
-            inside = left & (seconds <= end_s)
-            out[inside] = solution(seconds[inside]).T
-            now_s = end_s
+            solved = self._until_it_turns(now_s, angle_rad, last_s)
+            now_s, angle_rad = float(solved.t[-1]), float(solved.y[0, -1])
+            inside = left & (seconds <= now_s)
+            out[inside] = solved.sol(seconds[inside]).T
         raise AssertionError("the pendulum turns too often")
 
-    def _until_it_turns(
-        self, now_s: float, angle_rad: float, way: float, last_s: float
-    ) -> tuple[float, Callable[[Array], Array], float]:
-        inertia = self.inertia
+    def _until_it_turns(self, now_s: float, angle_rad: float, last_s: float) -> Any:
+        inertia, way = self.inertia, float(np.sign(self.pull(angle_rad)))
 
         def rates(_: float, state: Array) -> list[float]:
             torque = self.pull(state[0]) - self.damping * state[1] - way * self.friction
@@ -183,17 +173,13 @@ class Pendulum:
             return float(state[1])
 
         turns.terminal, turns.direction = True, -way  # pyright: ignore[reportFunctionMemberAccess]
-        solved = solve_ivp(
-            rates,
-            (now_s, last_s + 1e-9),
-            [angle_rad, way * _MIN_RAD_S],
-            "DOP853",
+        return solve_ivp(
+            *(rates, (now_s, last_s + 1e-9), [angle_rad, way * 1e-12], "DOP853"),
             dense_output=True,
             events=turns,
-            rtol=_PENDULUM_TOLERANCE,
-            atol=_PENDULUM_TOLERANCE,
+            rtol=1e-11,
+            atol=1e-11,
         )
-        return float(solved.t[-1]), solved.sol, float(solved.y[0, -1])
 
 
 def pendulum_log(seed: int, noise: float = 1.0) -> ModelLog:
@@ -222,11 +208,20 @@ def pendulum_log(seed: int, noise: float = 1.0) -> ModelLog:
 
 def pendulum_of_unknown_mass(seed: int, noise: float = 1.0) -> ModelLog:
     """Simulate the same with the bob's mass tuned as well: a swing determines ratios alone."""
-    log = pendulum_log(seed, noise)
-    truth = {**log.truth, MASS: _MASS_KG}
     model = PENDULUM.format(gravity=EARTH, mass=1.3)
-    tune = (*_PENDULUM_TUNE, f"{MASS}=0.2:3")
-    return replace(log, truth=truth, model=model, tune=tune, unidentifiable=tuple(truth))
+    log = _tuned_too(pendulum_log(seed, noise), MASS, _MASS_KG, "0.2:3", model)
+    return replace(log, unidentifiable=tuple(log.truth))
+
+
+def _tuned_too(log: ModelLog, address: str, truth: float, ends: str, model: str) -> ModelLog:
+    """Return the log with one more parameter to tune, which is unidentifiable."""
+    return replace(
+        log,
+        truth={**log.truth, address: truth},
+        model=model,
+        tune=(*log.tune, f"{address}={ends}"),
+        unidentifiable=(address,),
+    )
 
 
 # ---- Planar two-link arm under delayed servos, with a payload at its tip.
@@ -237,10 +232,7 @@ LINKS_KG_M2 = (0.02, 0.008)  # about the links' centres, which are in their midd
 ARMATURE_KG_M2, DAMPING = 0.02, 0.3
 KP, KV = np.array([120.0, 60.0]), np.array([12.0, 3.0])
 
-TIP_RADIUS_M = 0.02  # of the payload, a ball
 _TERMS = 3
-_MAX_RAD = 0.6
-_MIN_HZ, _MAX_HZ = 0.15, 1.2
 _EASING_S = 0.5
 _ARM_TOLERANCE = 1e-9
 
@@ -266,7 +258,7 @@ class PlanarArm:
     ) -> tuple[float, float]:
         """Return joint accelerations [rad/s²] under the servos' torques [N·m], shape (2,)."""
         first_m, second_m = LINKS_M
-        tip_kg_m2 = 0.4 * self.payload_kg * TIP_RADIUS_M**2
+        tip_kg_m2 = 0.4 * self.payload_kg * 0.02**2
         # moments of the second link and the payload about the elbow, first and second
         moment = LINKS_KG[1] * second_m / 2 + self.payload_kg * second_m
         elbow = LINKS_KG_M2[1] + LINKS_KG[1] * (second_m / 2) ** 2
@@ -392,16 +384,16 @@ def arm_model(
         held_rad: where a brake holds the elbow; None without one.
         welded_rad: angle between the links of a model that has no elbow; None of one that has.
     """
-    welded = welded_rad is not None
+    has_elbow = welded_rad is None
     return _ARM.format(
         gravity=gravity,
         first=links_m[0],
         second=links_m[1],
         first_middle=links_m[0] / 2,
         second_middle=links_m[1] / 2,
-        turned=f' axisangle="0 -1 0 {np.degrees(welded_rad):.6f}"' if welded else "",
-        elbow="" if welded else ELBOW,
-        servo="" if welded else ELBOW_SERVO,
+        turned="" if welded_rad is None else f' axisangle="0 -1 0 {np.degrees(welded_rad):.6f}"',
+        elbow=ELBOW * has_elbow,
+        servo=ELBOW_SERVO * has_elbow,
         brake="" if held_rad is None else _BRAKE.format(angle=held_rad),
     )
 
@@ -423,11 +415,11 @@ def _arm_log(rng: np.random.Generator, noise: float, *, elbow_is_held: bool) -> 
     shape = (_TERMS, 2)
     middle = np.array([rng.uniform(0.3, 1.2), rng.uniform(-0.3, 1.0)])
     shares = rng.uniform(0.5, 1.0, shape)
-    amplitudes = _MAX_RAD * shares / np.sum(shares, axis=0)
+    amplitudes = 0.6 * shares / np.sum(shares, axis=0)
     amplitudes[:, 1] *= not elbow_is_held
-    rates = 2 * np.pi * rng.uniform(_MIN_HZ, _MAX_HZ, shape)
+    rates = 2 * np.pi * rng.uniform(0.15, 1.2, shape)
     phases = rng.uniform(0, 2 * np.pi, shape)
-    told_s = sample_times(_LENGTH_S, COMMANDS_HZ, rng)
+    told_s = sample_times(_LENGTH_S, 50.0, rng)
     share = (told_s / _EASING_S).clip(0.0, 1.0)
     waves = np.sum(amplitudes * np.sin(rates * told_s[:, None, None] + phases), axis=1)
     told_rad = middle + (share**2 * (3 - 2 * share))[:, None] * waves
@@ -443,13 +435,7 @@ def _arm_log(rng: np.random.Generator, noise: float, *, elbow_is_held: bool) -> 
     log = recorded(sensed, noise, rng, truth, arm_model(), _ARM_TUNE)
     if not elbow_is_held:
         return log
-    return replace(
-        log,
-        truth={**truth, ELBOW_DAMPING: 0.3},
-        model=arm_model(held_rad=float(middle[1])),
-        tune=(*_ARM_TUNE, f"{ELBOW_DAMPING}=0:2"),
-        unidentifiable=(ELBOW_DAMPING,),
-    )
+    return _tuned_too(log, ELBOW_DAMPING, 0.3, "0:2", arm_model(held_rad=float(middle[1])))
 
 
 # ---- Zero-order hold: commands, held until the next one is obeyed, as steps see them.
@@ -484,12 +470,9 @@ class HeldCommands:
 BLOCK_FRICTION, BLOCK_MASS = "geom/block.friction[0]", "body/block.mass"
 POSE = "/block/pose"
 
-MAX_FRICTION = 1.2  # that is looked for
-_BLOCK_TUNE = (f"{BLOCK_FRICTION}=0.02:{MAX_FRICTION}",)
+_BLOCK_TUNE = (f"{BLOCK_FRICTION}=0.02:1.2",)
 _NOISE_M = 1e-3
 _BLOCK_KG = 1.5
-_HALF_HEIGHT_M = 0.03
-_REST_S = 1.0
 
 # Of two geoms that touch, MuJoCo takes the larger friction. Its contacts push a sliding block off
 # the floor, by friction times speed times damping over stiffness, and let it creep before it stops,
@@ -519,10 +502,10 @@ def block_log(seed: int, noise: float = 1.0) -> ModelLog:
     along, aside = rng.uniform(0.5, 2.5), rng.uniform(-0.1, 0.1)
     start_m, velocity_m_s = rng.uniform(-0.5, 0.5, 2), along * np.array([1.0, aside])
     stops_s = float(np.linalg.norm(velocity_m_s)) / (friction * GRAVITY_M_S2)
-    seconds = sample_times(stops_s + _REST_S, STATES_HZ, rng)
+    seconds = sample_times(stops_s + 1.0, STATES_HZ, rng)
     slid_s = np.minimum(seconds, stops_s)[:, None]
     flat_m = start_m + velocity_m_s * (slid_s - slid_s**2 / (2 * stops_s))
-    places_m = np.column_stack([flat_m, np.full(len(seconds), _HALF_HEIGHT_M)])
+    places_m = np.column_stack([flat_m, np.full(len(seconds), 0.03)])
     sensed = {POSE: Sensed(seconds, places_m, ("x", "y", "z"), "m", _NOISE_M)}
     model = BLOCK.format(gravity=EARTH, mass=_BLOCK_KG)
     return recorded(sensed, noise, rng, {BLOCK_FRICTION: friction}, model, _BLOCK_TUNE)
@@ -530,29 +513,17 @@ def block_log(seed: int, noise: float = 1.0) -> ModelLog:
 
 def block_of_unknown_mass(seed: int, noise: float = 1.0) -> ModelLog:
     """Simulate the same with the mass tuned as well, which is unidentifiable."""
-    log = block_log(seed, noise)
-    return replace(
-        log,
-        truth={**log.truth, BLOCK_MASS: _BLOCK_KG},
-        model=BLOCK.format(gravity=EARTH, mass=1.0),
-        tune=(*_BLOCK_TUNE, f"{BLOCK_MASS}=0.2:5"),
-        unidentifiable=(BLOCK_MASS,),
-    )
+    model = BLOCK.format(gravity=EARTH, mass=1.0)
+    return _tuned_too(block_log(seed, noise), BLOCK_MASS, _BLOCK_KG, "0.2:5", model)
 
 
 # ---- Models of other machines, with which no tuning may be content.
 
-_MOON, _MARS = 1.62, 3.7
-
 _GRAVITIES = {
-    "gravity of 1.62 m/s²": f"0 0 -{_MOON}",
-    "gravity of 3.7 m/s²": f"0 0 -{_MARS}",
+    "gravity of 1.62 m/s²": "0 0 -1.62",
+    "gravity of 3.7 m/s²": "0 0 -3.7",
     "gravity turned by 90 degrees": f"-{GRAVITY_M_S2} 0 0",
 }
-
-_OFF = 0.3  # by how much of their lengths another arm's links are off
-# Over the largest friction looked for, what a model with too little gravity must need.
-_BEYOND = 1.1
 
 
 def wrong_pendulums(_: ModelLog) -> dict[str, str]:
@@ -565,7 +536,7 @@ def wrong_arms(log: ModelLog) -> dict[str, str]:
     models = {name: arm_model(gravity=gravity) for name, gravity in _GRAVITIES.items()}
     angle_rad = float(log.episode.signals["/joint_states.position"].values[0, 1])
     models["no elbow"] = arm_model(welded_rad=angle_rad)
-    for name, factor in (("longer", 1 + _OFF), ("shorter", 1 - _OFF)):
+    for name, factor in (("longer", 1.3), ("shorter", 0.7)):
         first_m, second_m = (factor * np.array(LINKS_M)).tolist()
         models[f"links 30 % {name}"] = arm_model(links_m=(first_m, second_m))
     return models
@@ -575,11 +546,11 @@ def wrong_blocks(log: ModelLog) -> dict[str, str]:
     """Return wrong models for a block's log, but those that slide alike with other friction.
 
     A slide determines friction times gravity alone, so that less gravity is seen only where the
-    friction that makes up for it is out of range.
+    friction that makes up for it is a tenth beyond the range.
     """
     models = {name: BLOCK.format(gravity=one, mass=_BLOCK_KG) for name, one in _GRAVITIES.items()}
-    for name, gravity_m_s2 in zip(_GRAVITIES, (_MOON, _MARS), strict=False):
-        if log.truth[BLOCK_FRICTION] * GRAVITY_M_S2 / gravity_m_s2 < _BEYOND * MAX_FRICTION:
+    for name, gravity_m_s2 in zip(_GRAVITIES, (1.62, 3.7), strict=False):
+        if log.truth[BLOCK_FRICTION] * GRAVITY_M_S2 / gravity_m_s2 < 1.1 * 1.2:
             del models[name]
     return models
 

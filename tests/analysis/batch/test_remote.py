@@ -172,7 +172,7 @@ def is_loopback(text: str) -> bool:
     return (getattr(address, "ipv4_mapped", None) or address).is_loopback
 
 
-_COUNT = 24  # logs that a cluster tunes
+_COUNT = 12  # logs that a cluster tunes
 
 
 @pytest.fixture(scope="module")

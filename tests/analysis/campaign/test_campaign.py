@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.analysis.answers import known
 from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS
 from tests.conftest import Command, film
@@ -70,12 +71,25 @@ def attempts(
     return attempts_of(material, (told if told is not None else []).append)
 
 
+def names(attempt: Attempt) -> list[str]:
+    """Of its drops."""
+    return [one.name.removesuffix(".mcap") for one in attempt.drops]
+
+
+def counted(found: tuple[Attempt, ...]) -> list[tuple[int, int, float | None]]:
+    """Successes, shots, and the paper's rate: of all, after accepted drops, after rejected ones."""
+    return [(one.successes, one.count, one.published) for one in overall_rates(found)]
+
+
 @pytest.mark.parametrize(("successes", "count"), [(0, 1), (1, 1), (0, 10), (52, 60), (7, 38)])
 def test_wilson_is_scipys(successes: int, count: int):
     from scipy.stats import binomtest  # dear to load
 
     ends = binomtest(successes, count).proportion_ci(method="wilson")
     assert wilson95(successes, count) == pytest.approx((ends.low, ends.high), abs=1e-12)
+
+
+# ---- What is counted
 
 
 def test_the_papers_rates_stand_beside_ours_and_balls_spread():
@@ -87,10 +101,7 @@ def test_the_papers_rates_stand_beside_ours_and_balls_spread():
     ]
     drops = [drop(f"d{k}", "ok" if k < 6 else "rejected") for k in range(1, 9)]
     found = attempts(shots, drops)
-    every, accepted, rejected = overall_rates(found)
-    assert (every.successes, every.count, every.published) == (5, 8, 0.62)
-    assert (accepted.successes, accepted.count, accepted.published) == (4, 5, 0.87)
-    assert (rejected.successes, rejected.count, rejected.published) == (1, 3, 0.18)
+    assert counted(found) == [(5, 8, 0.62), (4, 5, 0.87), (1, 3, 0.18)]
     (ball,) = ball_rates(found)
     assert (ball.name, ball.successes, ball.count) == ("gel", 5, 8)
     other = outcome(4, "racquetball", tuned_parameter=0.8)
@@ -103,23 +114,118 @@ def test_the_papers_rates_stand_beside_ours_and_balls_spread():
 def test_a_doubtful_drop_that_was_used_counts_as_accepted_and_an_unknown_one_as_neither():
     shots = [outcome(1, drop_log="a.mcap"), outcome(2, drop_log="b.mcap", success=False)]
     found = attempts([*shots, outcome(3)], [drop("a", "suspect"), drop("b", "rejected")])
-    rates = [(one.successes, one.count) for one in overall_rates(found)]
-    assert rates == [(2, 3), (1, 1), (0, 1)]
+    assert counted(found) == [(2, 3, 0.62), (1, 1, 0.87), (0, 1, 0.18)]
     found = attempts([outcome(1), outcome(2, success=False)], [drop("d3", "rejected")])
-    assert [(one.successes, one.count) for one in overall_rates(found)][1:] == [(0, 0), (0, 0)]
+    assert counted(found)[1:] == [(0, 0, 0.87), (0, 0, 0.18)]
+
+
+def test_the_papers_rates_stand_beside_bounce_shots_alone():
+    found = attempts([outcome(1), outcome(2, success=False), outcome(3, task="grasp")], [])
+    first, _, _, grasp = counted(found)
+    assert (first, grasp) == ((1, 2, 0.62), (1, 1, None))
+    assert overall_rates(found)[3].name == "task grasp"
+    assert [(one.name, one.count) for one in ball_rates(found)] == [("gel", 2), ("gel, grasp", 1)]
+    assert counted(attempts([outcome(3, task="grasp")], [])) == [(1, 1, None)]
+
+
+@pytest.mark.parametrize("said", [{}, {"shot_height_m": 0.5}, {"miss_m": 0.2}])
+def test_an_attempt_without_a_good_drop_or_a_measure_was_given_up(said: dict[str, Any]):
+    shot = outcome(1, drop_log="d1.mcap", success=False, **said)
+    (one,) = attempts([shot], [drop("d1", "rejected")])
+    assert one.was_shot == bool(said)
+
+
+def test_a_miss_says_its_side_and_the_median_of_an_even_count_is_its_middle(tmp_path: Path):
+    for miss_m, words in (
+        (-0.041, "41 mm from the centre, short of it"),
+        (0.0085, "8 mm from the centre, beyond it"),
+    ):
+        (one,) = attempts([outcome(1, miss_m=miss_m)], [])
+        assert words in attempt_words(one)
+    for number, miss_m in enumerate((0.01, -0.02, 0.06, -0.1), 1):
+        campaigns.outcome(tmp_path, number, miss_m=miss_m)
+    words = campaign_words(campaign_of([tmp_path], 1, QUIET, pytest.fail))
+    assert "4 measured: median 40 mm, largest 100 mm" in words
+
+
+# ---- What belongs together
+
+
+LAST = outcome(1, "gel", "elsewhere/d3.mcap", stamp_ns=START_NS + 9 * MINUTE_NS)
+# Outcomes, drops, and the drops of each attempt, with the outcome's place where it has one.
+TOGETHER = {
+    "drops before the one that was used belong to it": (
+        [outcome(1, drop_log="d1.mcap"), outcome(2, drop_log="d10.mcap")],
+        [drop("d1"), drop("d2", "rejected"), drop("d10"), drop("d11")],
+        [(["d1"], 0), (["d2", "d10"], 1), (["d11"], None)],
+    ),
+    "a wall clock goes before names": (
+        [outcome(1, drop_log="z.mcap"), outcome(4, drop_log="b.mcap")],
+        [
+            drop("z", start_ns=START_NS),
+            drop("a", "rejected", start_ns=START_NS + 2 * MINUTE_NS),
+            drop("b", start_ns=START_NS + 3 * MINUTE_NS),
+        ],
+        [(["z"], 0), (["a", "b"], 1)],
+    ),
+    "a shot has the drop that it was planned with": (
+        [outcome(number, drop_log="d1.mcap") for number in (1, 2, 3)],
+        [drop("d0", "rejected"), drop("d1")],
+        [(["d0", "d1"], 0), (["d1"], 1), (["d1"], 2)],
+    ),
+    "rejected drops stay with their attempt where balls alternate, and the last outcome counts": (
+        [outcome(1, "foam", "d2.mcap"), replace(LAST, stamp_ns=START_NS, success=False), LAST],
+        [
+            drop("d1", "rejected", "gel"),
+            drop("d2", "ok", "foam"),
+            drop("d3", "ok", "gel"),
+            drop("d4", "rejected", "foam"),
+        ],
+        [(["d2"], 0), (["d1", "d3"], 2), (["d4"], None)],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TOGETHER)
+def test_what_of_drops_and_outcomes_belongs_together(name: str):
+    outcomes, drops, expected = TOGETHER[name]
+    told: list[str] = []
+    found = attempts(outcomes, drops, told)
+    own = [None if one.outcome is None else outcomes.index(one.outcome) for one in found]
+    assert list(zip([names(one) for one in found], own, strict=True)) == expected
+    assert [one.number for one in found] == [1, 2, 3][: len(found)]
+    if name.startswith("rejected drops"):
+        assert found[2].ball == "foam"
+    assert any("several outcomes" in line for line in told) == (LAST in outcomes)
+    if name == "a shot has the drop that it was planned with":
+        assert [one.value for one in found] == [0.7] * 3
+        assert [count for _, count, _ in counted(found)] == [3, 3, 0]
+        (spread,) = restitutions_by_ball(found)
+        assert (spread.values, spread.attempts) == ((0.7,), (1,))
+
+
+def test_a_drop_that_an_outcome_names_belongs_to_it_whatever_its_ball():
+    told: list[str] = []
+    (one,) = attempts([outcome(1, drop_log="d1.mcap")], [drop("d1", ball="Red Gel")], told)
+    assert (one.value, one.ball) == (0.7, "gel")
+    (line,) = told
+    assert "d1.mcap" in line
+    assert "Red Gel" in line
+
+
+# ---- What lies in folders
 
 
 def test_a_log_comes_back_from_its_tuning(tmp_path: Path):
     log = campaigns.drop(tmp_path / "drop.mcap", 0.7)
-    found = read_tuned_drop(tmp_path / "drop.json")
-    assert found is not None
-    assert found.overlay is not None
+    found = known(read_tuned_drop(tmp_path / "drop.json"))
+    overlay = known(found.overlay)
     assert (found.log, found.name, found.state) == (log, "drop.mcap", "drop")
     assert found.value == pytest.approx(0.7, abs=0.001)
     ball = read_episode(log).signals["/ball/pose"]
-    heights = np.interp(found.overlay.seconds, ball.seconds, ball.values[:, 2] - 0.05)
-    assert np.abs(found.overlay.observed_m - heights).max() < 2e-4  # its figures are rounded
-    assert np.abs(found.overlay.simulated_m - found.overlay.observed_m).max() < 1e-3
+    heights = np.interp(overlay.seconds, ball.seconds, ball.values[:, 2] - 0.05)
+    assert np.abs(overlay.observed_m - heights).max() < 2e-4  # its figures are rounded
+    assert np.abs(overlay.simulated_m - overlay.observed_m).max() < 1e-3
     assert len((tmp_path / "drop.json").read_bytes()) < 20_000
     assert read_tuned_drop(campaigns.drop(tmp_path / "bad.mcap", is_bad=True).with_suffix(".json"))
 
@@ -141,51 +247,6 @@ def test_what_is_no_tuning_of_a_drop_is_passed_over(tmp_path: Path):
         assert read_tuned_drop(tuning) is None
     tuning.write_text(known)
     assert read_tuned_drop(tuning) is not None
-
-
-def test_drops_before_the_one_that_was_used_belong_to_it():
-    drops = [drop("drop_1"), drop("drop_2", "rejected"), drop("drop_10"), drop("drop_11")]
-    outcomes = [outcome(1, drop_log="drop_1.mcap"), outcome(2, drop_log="drop_10.mcap")]
-    first, second, third = attempts(outcomes, drops)
-    assert [one.name for one in first.drops] == ["drop_1.mcap"]
-    assert [one.name for one in second.drops] == ["drop_2.mcap", "drop_10.mcap"]
-    assert second.outcome == outcomes[1]
-    assert third.outcome is None
-    assert [one.name for one in third.drops] == ["drop_11.mcap"]
-    assert [one.number for one in (first, second, third)] == [1, 2, 3]
-
-
-def test_a_wall_clock_goes_before_names():
-    drops = [drop("z", start_ns=START_NS), drop("a", "rejected", start_ns=START_NS + 2 * MINUTE_NS)]
-    drops.append(drop("b", start_ns=START_NS + 3 * MINUTE_NS))
-    outcomes = [
-        outcome(1, drop_log="z.mcap", stamp_ns=START_NS + MINUTE_NS),
-        outcome(2, drop_log="b.mcap", stamp_ns=START_NS + 4 * MINUTE_NS),
-    ]
-    first, second = attempts(outcomes, drops)
-    assert [one.name for one in first.drops] == ["z.mcap"]
-    assert [one.name for one in second.drops] == ["a.mcap", "b.mcap"]
-
-
-@pytest.mark.parametrize("said", [{}, {"shot_height_m": 0.5}, {"miss_m": 0.2}])
-def test_an_attempt_without_a_good_drop_or_a_measure_was_given_up(said: dict[str, Any]):
-    (one,) = attempts(
-        [outcome(1, drop_log="d1.mcap", success=False, **said)], [drop("d1", "rejected")]
-    )
-    assert one.was_shot == bool(said)
-
-
-def test_a_miss_says_its_side_and_the_median_of_an_even_count_is_its_middle(tmp_path: Path):
-    for miss_m, words in (
-        (-0.041, "41 mm from the centre, short of it"),
-        (0.0085, "8 mm from the centre, beyond it"),
-    ):
-        (one,) = attempts([outcome(1, miss_m=miss_m)], [])
-        assert words in attempt_words(one)
-    for number, miss_m in enumerate((0.01, -0.02, 0.06, -0.1), 1):
-        campaigns.outcome(tmp_path, number, miss_m=miss_m)
-    words = campaign_words(campaign_of([tmp_path], 1, QUIET, pytest.fail))
-    assert "4 measured: median 40 mm, largest 100 mm" in words
 
 
 def test_a_folder_of_much_is_sorted_through(tmp_path: Path):
@@ -286,16 +347,6 @@ def test_a_tuning_of_no_log_hides_none(tmp_path: Path, name: str):
     assert material.untuned == (log,)
 
 
-def test_a_drop_that_an_outcome_names_belongs_to_it_whatever_its_ball():
-    told: list[str] = []
-    (one,) = attempts([outcome(1, drop_log="d1.mcap")], [drop("d1", ball="Red Gel")], told)
-    assert one.value == 0.7
-    assert one.ball == "gel"
-    assert len(told) == 1
-    assert "d1.mcap" in told[0]
-    assert "Red Gel" in told[0]
-
-
 def test_tables_beside_each_other_and_recorded_outcomes_keep_all(tmp_path: Path):
     for number in (1, 2, 4):
         campaigns.outcome(tmp_path, number)
@@ -314,43 +365,6 @@ def test_tables_beside_each_other_and_recorded_outcomes_keep_all(tmp_path: Path)
     (tmp_path / "c.csv").write_text(rows)
     with pytest.raises(LogError, match="write their numbers down"):  # none is left
         material_of([tmp_path], pytest.fail)
-
-
-def test_every_shot_that_was_planned_with_a_drop_has_it():
-    outcomes = [outcome(number, drop_log="d1.mcap") for number in (1, 2, 3)]
-    found = attempts(outcomes, [drop("d0", "rejected"), drop("d1")])
-    assert [one.outcome for one in found] == outcomes
-    assert [len(one.drops) for one in found] == [2, 1, 1]
-    assert [one.value for one in found] == [0.7] * 3
-    _, accepted, rejected = overall_rates(found)
-    assert (accepted.count, rejected.count) == (3, 0)
-    (spread,) = restitutions_by_ball(found)
-    assert (spread.values, spread.attempts) == ((0.7,), (1,))
-
-
-def test_rejected_drops_stay_with_their_attempt_where_balls_alternate():
-    drops = [
-        drop("d1", "rejected", "gel"),
-        drop("d2", "ok", "foam"),
-        drop("d3", "ok", "gel"),
-        drop("d4", "rejected", "foam"),
-    ]
-    told: list[str] = []
-    outcomes = [
-        outcome(1, "foam", "d2.mcap"),
-        outcome(1, "gel", "elsewhere/d3.mcap", success=False),
-    ]
-    last = replace(outcomes[1], stamp_ns=START_NS + 9 * MINUTE_NS, success=True)
-    foam, gel, lone = attempts([*outcomes, last], drops, told)
-    assert [one.name for one in foam.drops] == ["d2.mcap"]
-    assert [one.name for one in gel.drops] == ["d1.mcap", "d3.mcap"]
-    assert gel.outcome == last
-    assert any("several outcomes" in line for line in told)
-    assert ([one.name for one in lone.drops], lone.ball, lone.outcome) == (
-        ["d4.mcap"],
-        "foam",
-        None,
-    )
 
 
 def test_a_table_of_positions_is_a_drop_where_it_is_named(tmp_path: Path):
@@ -374,19 +388,8 @@ def test_an_arms_log_is_no_drop_that_was_tuned(command: Command, tmp_path: Path)
     assert (campaign.tuned_now, campaign.unread, len(campaign.attempts)) == (0, 0, 1)
 
 
-def test_the_papers_rates_stand_beside_bounce_shots_alone():
-    found = attempts([outcome(1), outcome(2, success=False), outcome(3, task="grasp")], [])
-    every, _, _, grasp = overall_rates(found)
-    assert (every.successes, every.count, every.published) == (1, 2, 0.62)
-    assert (grasp.name, grasp.count, grasp.published) == ("task grasp", 1, None)
-    assert [(one.name, one.count) for one in ball_rates(found)] == [("gel", 2), ("gel, grasp", 1)]
-    (alone,) = overall_rates(attempts([outcome(3, task="grasp")], []))
-    assert alone.published is None
-
-
 def test_a_film_is_made_small(filmed_log: Path):
-    film = small_film(filmed_log, None, None)
-    assert film is not None
+    film = known(small_film(filmed_log, None, None))
     assert max(film.size_px) == WIDTH_PX
     assert film.seconds[-1] - film.seconds[0] == pytest.approx(3.3, abs=0.1)
     sizes = {decode_image(one, "jpeg").shape for one in film.pictures}
@@ -394,8 +397,7 @@ def test_a_film_is_made_small(filmed_log: Path):
     strobe, still = (decode_image(one, "jpeg") for one in (film.strobe, film.pictures[0]))
     moved = np.abs(strobe.astype(int) - still.astype(int)).sum(axis=2) > 90
     assert np.count_nonzero(moved.any(axis=1)) > 20  # rows in which the ball was
-    cut = small_film(filmed_log, film.start_ns, (0.5, 1.0))
-    assert cut is not None
+    cut = known(small_film(filmed_log, film.start_ns, (0.5, 1.0)))
     ends_s = (cut.seconds[0], cut.seconds[-1])
     assert ends_s == (pytest.approx(0.5, abs=0.04), pytest.approx(1, abs=0.04))
 
@@ -406,8 +408,7 @@ def test_a_film_is_made_small(filmed_log: Path):
 def test_a_small_film_has_at_most_thirty_a_second(tmp_path: Path, rate_hz: float):
     drop = {"restitution": 0.7, "height_m": 0.8, "seconds": 1.2, "rate_hz": rate_hz, "seed": 1}
     log = film(tmp_path / "fast.mcap", FilmOrder(size_px=(80, 60)), **drop)
-    small = small_film(log, None, None)
-    assert small is not None
+    small = known(small_film(log, None, None))
     assert np.diff(small.seconds).min() > 0.9 / RATE_HZ
     span_s = small.seconds[-1] - small.seconds[0]
     assert len(small.seconds) - 1 <= 30 * span_s + 0.5

@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rerun.chunk import RrdReader
 
 from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS
-from tests.analysis.drop.test_review import verified
 from tests.analysis.films import short_film
-from tests.analysis.review.stored import Stored
+from tests.analysis.review.stored import Stored, verified
 from tests.conftest import ROOT, Command, Made, film
 from tunenet_logs.analysis.campaign import Campaign, TunedDrop, campaign_of
 from tunenet_logs.analysis.cli.review import main
@@ -33,11 +31,17 @@ from tunenet_logs.analysis.review.campaign import (
 from tunenet_logs.terminal import Progress
 
 STATES = ("/ball", "/drop", "/restitution", "/shot")
+STATE = "StateChange:state"
+OBSERVED = ("/sheets/overlay/observed", "attempt", "Points2D:positions")
+WORDS = ("/attempt", "attempt", "TextDocument:text")
 
 
 @pytest.fixture(scope="module")
-def campaign(tmp_path_factory: pytest.TempPathFactory, made: Made) -> Path:
-    """Three attempts: filmed, after a rejected drop, and given up."""
+def review(tmp_path_factory: pytest.TempPathFactory, made: Made, command: Command) -> Stored:
+    """Of three attempts: filmed, after a rejected drop, and given up.
+
+    Whole and small; what the command printed has the rates beside the paper's.
+    """
     folder = tmp_path_factory.mktemp("campaign")
     shutil.copy(short_film(made), folder / "drop_1.mcap")
     campaigns.tune(folder / "drop_1.mcap")
@@ -47,14 +51,8 @@ def campaign(tmp_path_factory: pytest.TempPathFactory, made: Made) -> Path:
     campaigns.outcome(folder, 1, drop_log="drop_1.mcap", shot_height_m=0.62, miss_m=0.004)
     campaigns.outcome(folder, 2, drop_log="drop_2b.mcap", success=False, reason="rim", miss_m=-0.05)
     campaigns.outcome(folder, 3, "red gel", drop_log="drop_3.mcap", success=False)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def review(campaign: Path, command: Command) -> Path:
-    """Whole and small; what the command printed has the rates beside the paper's."""
-    path = campaign / "review.rrd"
-    done = command("tunenet-review", campaign, "-o", path, "--quiet", "--jobs", 1)
+    path = folder / "review.rrd"
+    done = command("tunenet-review", folder, "-o", path, "--quiet", "--jobs", 1)
     assert done.returncode == 0, done.stderr
     assert "1/3 = 33 % (95 %: 6 to 79 %)   paper 62 %" in done.stdout
     assert "1/2 = 50 % (95 %: 9 to 91 %)   paper 87 %" in done.stdout
@@ -62,36 +60,30 @@ def review(campaign: Path, command: Command) -> Path:
     assert float(mean) == pytest.approx(0.71, abs=0.005)
     verified(path)
     assert path.stat().st_size < 3_000_000
-    assert not list(campaign.glob("*.partial"))
-    return path
+    assert not list(folder.glob("*.partial"))
+    return Stored(path)
 
 
-def rows(path: Path, entity: str, timeline: str, component: str) -> list[tuple]:
-    """(time, value) of every row of an entity on a timeline."""
-    found: list[tuple] = []
-    for chunk in RrdReader(path).stream():
-        if str(chunk.entity_path) == entity and timeline in chunk.timeline_names:
-            batch = chunk.to_record_batch().to_pydict()
-            name = next((one for one in batch if one.endswith(f":{component}")), None)
-            if name is not None:
-                found += zip(batch[timeline], batch[name], strict=True)
-    return sorted(found, key=lambda one: one[0])
+def rows(review: Stored, entity: str, timeline: str, component: str) -> list[tuple[int, list]]:
+    """(time, value) of every row of a component on a timeline; [] where nothing is shown."""
+    times, cells = review.entities[entity][component].timed[timeline]
+    return [(at, cell.as_py() or []) for at, cell in zip(times.tolist(), cells, strict=True)]
 
 
-def drawn(path: Path, lane: str, timeline: str) -> list[str]:
+def drawn(review: Stored, lane: str, timeline: str) -> list[str]:
     """What a lane says from each of its times on: the labels of its states; "" for none."""
-    labels: dict[str, str] = {}
-    for chunk in RrdReader(path).stream():
-        if str(chunk.entity_path) == lane and chunk.is_static:
-            batch = chunk.to_record_batch().to_pydict()
-            fields = [batch[f"StateConfiguration:{name}"][0] for name in ("values", "labels")]
-            labels = dict(zip(*fields, strict=True))
-    states = [value[0] if value else "" for _, value in rows(path, lane, timeline, "state")]
+    names, labels = (
+        review.entities[lane][f"StateConfiguration:{name}"].static[0].as_py()
+        for name in ("values", "labels")
+    )
+    called = dict(zip(names, labels, strict=True))
+    told = rows(review, lane, timeline, STATE)
+    states = [value[0] if value else "" for _, value in told]
     assert all(a != b for a, b in pairwise(filter(None, states)))  # Rerun would draw them as one
-    return [labels[state] if state else "" for state in states]
+    return [called[state] if state else "" for state in states]
 
 
-def test_the_lanes_say_what_happened(review: Path):
+def test_the_lanes_say_what_happened(review: Stored):
     lanes = {lane: drawn(review, lane, "attempt")[:3] for lane in STATES}
     assert lanes["/ball"] == ["gel, 1", "gel, 2", "red gel, 3"]
     assert lanes["/drop"] == ["drop", "drop again", "rejected drop"]
@@ -104,27 +96,21 @@ def test_the_lanes_say_what_happened(review: Path):
     assert played == ["drop", "rejected drop", "drop again", "rejected drop", ""]
     played = drawn(review, "/shot", "film_s")
     assert played == ["", "shot", "success", "", "shot", "failure", "", "given up", ""]
-    times = rows(review, "/shot", "wall_clock", "state")
-    assert len(times) == 3
+    assert len(rows(review, "/shot", "wall_clock", STATE)) == 3
 
 
-def test_each_attempt_has_its_curves_and_its_words(review: Path):
-    curves = rows(review, "/sheets/overlay/observed", "attempt", "positions")
-    assert [len(places or ()) > 20 for _, places in curves] == [True, True, False]
-    words = [text[0] for _, text in rows(review, "/attempt", "attempt", "text")]
+def test_each_attempt_has_its_curves_and_its_words(review: Stored):
+    curves = rows(review, *OBSERVED)
+    assert [len(places) > 20 for _, places in curves] == [True, True, False]
+    words = [text[0] for _, text in rows(review, *WORDS)]
     assert all(one in words[0] for one in ("**success**", "shot from 0.620 m"))
     assert all(one in words[1] for one in ("rejected drop drop_2a.mcap", "rim"))
     assert "given up without a shot" in words[2]
 
 
-def shown(path: Path, entity: str, timeline: str, component: str) -> list[bool]:
-    """Whether something is to be seen, row by row."""
-    return [bool(value) for _, value in rows(path, entity, timeline, component)]
-
-
-def reviewed(folder: Path) -> Path:
+def reviewed(folder: Path) -> Stored:
     assert main([str(folder), "-o", str(folder / "a.rrd"), "--quiet"]) == 0
-    return folder / "a.rrd"
+    return Stored(folder / "a.rrd")
 
 
 def test_the_wall_clock_has_each_shot_and_one_without_a_drop_shows_no_others(tmp_path: Path):
@@ -132,18 +118,17 @@ def test_the_wall_clock_has_each_shot_and_one_without_a_drop_shows_no_others(tmp
     for number in (1, 2, 3):
         said: dict[str, Any] = {"stamp_ns": START_NS + number * MINUTE_NS}
         campaigns.outcome(tmp_path, number, drop_log="drop_1.mcap" * (number < 3), **said)
-    path = reviewed(tmp_path)
+    review = reviewed(tmp_path)
     for timeline in ("attempt", "film_s", "wall_clock"):
-        curves = shown(path, "/sheets/overlay/observed", timeline, "positions")
-        assert curves[0]
-        assert not curves[-1]
-    words = rows(path, "/attempt", "wall_clock", "text")
-    assert all(f"attempt {at}" in text[0] for at, (_, text) in enumerate(words, 1))
+        (_, first), *_, (_, last) = rows(review, OBSERVED[0], timeline, OBSERVED[2])
+        assert (bool(first), bool(last)) == (True, False)
+    words = [text[0] for _, text in rows(review, WORDS[0], "wall_clock", WORDS[2])]
     assert len(words) == 3
-    (begun, _), *_ = rows(path, "/drop", "wall_clock", "state")
-    before, (ended, _), *_ = rows(path, "/shot", "wall_clock", "state")
+    assert all(f"attempt {at}" in text for at, text in enumerate(words, 1))
+    (begun, _), *_ = rows(review, "/drop", "wall_clock", STATE)
+    before, (ended, _), *_ = rows(review, "/shot", "wall_clock", STATE)
     assert before == (begun, [])
-    assert (ended - begun).total_seconds() == pytest.approx(60, abs=1)
+    assert (ended - begun) * 1e-9 == pytest.approx(60, abs=1)
 
 
 def test_a_log_that_cannot_be_read_is_named_and_is_no_attempt(command: Command, tmp_path: Path):
@@ -180,18 +165,19 @@ def test_an_attempt_tells_slope_and_drag_and_leaves_out_samples_that_are_not_kno
     told = {"parameters": {"restitution": before["restitution"], **both}, "curves": curves}
     campaigns.told(path, **told)
     review = reviewed(tmp_path)
-    words = rows(review, "/attempt", "attempt", "text")[0][1][0]
+    ((_, (words,)),) = rows(review, *WORDS)
     assert "restitution slope 0.060 (95 %: 0.030 to 0.090)" in words
     assert "drag 0.013 1/m\n" in words
-    ((_, dots),) = rows(review, "/sheets/overlay/observed", "attempt", "positions")
-    ((_, strips),) = rows(review, "/sheets/overlay/simulated", "attempt", "strips")
+    ((_, dots),) = rows(review, *OBSERVED)
+    simulated = ("/sheets/overlay/simulated", "attempt", "LineStrips2D:strips")
+    ((_, strips),) = rows(review, *simulated)
     assert (len(dots), [len(stretch) for stretch in strips]) == (5, [2, 2])
 
 
 def test_of_many_balls_the_charts_show_the_first_and_the_tables_all(tmp_path: Path):
     for number in range(20):
         campaigns.outcome(tmp_path, 1, f"ball {number}", tuned_parameter=0.6 + 0.01 * number)
-    stored = Stored(reviewed(tmp_path))
+    stored = reviewed(tmp_path)
     titles = [view.name for view in stored.views]
     for sheet, count in (("rates", 23), ("spreads", 20)):
         (labels,) = stored.entities[f"/sheets/{sheet}/labels"]["Points2D:labels"].static

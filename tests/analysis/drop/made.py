@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.strangers import bounce_heights
+from tunenet_logs.analysis.drop.film import FilmedDrop, find_filmed_drop
+from tunenet_logs.analysis.evaluation.worlds.ball import RealBall, drop_ball
+from tunenet_logs.analysis.evaluation.worlds.camera import B, BallRanges, draw_scene, film
 from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
+from tunenet_logs.recorders.simulators.ball import Bounce
 
 TOPIC, RATE_HZ, GRAVITY = "/ball/pose", 120.0, 9.81
 DAY_NS = 86_400 * 10**9
@@ -30,28 +35,11 @@ def seen(
 def real_drop(
     restitution: float, *, slope: float = 0.0, drag_1_m: float = 0.0, noise_m: float, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times and heights at 120 Hz of a ball that falls 1 m, integrated in steps of 0.1 ms."""
-    step, clock, height, speed, first = 1e-4, 0.0, 1.0, 0.0, 0.0
-    times, heights = [-1.0, 0.0], [1.0, 1.0]
-    while clock < 2.6:
-        push = -9.81 - drag_1_m * speed * abs(speed)
-        below = height + speed * step + push * step**2 / 2
-        if below < 0:
-            part = (speed + np.sqrt(speed**2 - 2 * push * height)) / -push
-            clock, height, speed = clock + part, 0.0, speed + push * part
-            first = first or -speed
-            speed *= -restitution * (-speed / first) ** -slope
-            if speed < 0.01:  # at rest
-                break
-        else:
-            clock, height, speed = clock + step, below, speed + push * step
-        times.append(clock)
-        heights.append(height)
-    times.append(clock + 1e-4)
-    heights.append(0.0 if clock < 2.6 else height)
+    """Times and heights at 120 Hz of a ball that falls 1 m."""
     seconds = np.arange(-0.4, 2.6, 1 / 120)
     noise = np.random.default_rng(seed).normal(0.0, noise_m, len(seconds))
-    return seconds, np.interp(seconds, times, heights) + noise
+    fall = drop_ball(RealBall(restitution, slope, drag_1_m, 1.0), seconds)
+    return seconds, fall.heights_m + noise
 
 
 def smoothed(heights: np.ndarray, averaged: int) -> np.ndarray:
@@ -105,3 +93,33 @@ def with_stamps(episode: Episode, change) -> Episode:
             yield replace(frame, stamp_ns=change(number, frame.stamp_ns))
 
     return replace(episode, open_frames=opened)
+
+
+def with_a_lost_picture(share: float) -> tuple[FilmedDrop, float]:
+    """A drop with restitution .7, one period lost from a share of the pictures on, and when."""
+    track = film(draw_scene(B, BallRanges((0.7, 0.7)), 0.3, -77, 2))
+    stamps_ns = track.stamps_ns.copy()
+    lost = int(share * len(stamps_ns))
+    stamps_ns[lost:] -= stamps_ns[lost] - stamps_ns[lost - 1] - 1_000_000
+    return find_filmed_drop(replace(track, stamps_ns=stamps_ns), 0), stamps_ns[lost] * 1e-9
+
+
+HEIGHT_M, RESTITUTION, SLOPE, DRAG_1_M = 1.2, 0.78, 0.04, 0.02  # of the ball that is heard
+
+
+def episode_of(
+    times_s: NDArray[Any], name: str = "All/impacts", *, frames: bool = False
+) -> Episode:
+    stamps_ns = np.round(np.asarray(times_s) * 1e9).astype(np.int64)
+    values = np.ones((len(stamps_ns), 1))
+    signal = Signal(name, stamps_ns, values, ("impact",), "1", counts_frames=frames)
+    return Episode(EpisodeInfo(), {name: signal})
+
+
+def impacts(count: int, seed: int = 0, jitter_s: float = 0.0005) -> Array:
+    """Times of the first impacts of the ball, from the closed form."""
+    ball = Bounce(RESTITUTION, SLOPE, DRAG_1_M * HEIGHT_M)
+    starts, _ = ball.flights(10.0)
+    rng = np.random.default_rng(seed)
+    fall_s = np.sqrt(2 * HEIGHT_M / 9.80665)
+    return 0.8 + starts[:count] * fall_s + rng.normal(0.0, jitter_s, count)

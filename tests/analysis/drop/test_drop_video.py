@@ -3,32 +3,29 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from subprocess import CompletedProcess
 from typing import Any, NamedTuple
 
-import av
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tests.analysis.answers import known, steps, value
 from tests.analysis.drop.made import DAY_NS, with_stamps
-from tests.analysis.films import short_film
-from tests.conftest import ROOT, Command, Made, film, real
+from tests.analysis.films import film_of, short_film
+from tests.conftest import ROOT, Command, Made, real
 from tests.engines import needs_pybullet
+from tests.picture_strangers import write_video_file
 from tests.recorders.live_wait import LAST_RESORT_S
 from tests.recorders.mjpeg_camera import check_times, playing
 from tests.strangers import Stranger, write_poses
 from tunenet_logs import messages
 from tunenet_logs.analysis.batch import run as one_log
-from tunenet_logs.analysis.drop.film import find_filmed_drop, placed_by_motion
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tracking.frames import Pictures
-from tunenet_logs.analysis.tracking.track import track_ball
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.describe import describe
 from tunenet_logs.episode import Episode, EpisodeInfo, Frame
@@ -41,11 +38,6 @@ from tunenet_logs.writing.writer import EpisodeWriter
 
 SAMPLE = ROOT / "sample_logs" / "filmed.mcap"
 START_NS = 1_700_000_000_000_000_000
-
-
-def value(tuning: Tuning) -> float:
-    assert tuning.estimate is not None, tuning.reason
-    return float(tuning.estimate[0])
 
 
 @pytest.fixture(scope="module")
@@ -61,29 +53,6 @@ def frames(short: Path) -> list[Frame]:
 @pytest.fixture(scope="module")
 def tuned(short: Path) -> Tuning:
     return tune_log(short, TuneOptions())
-
-
-def rewritten(path: Path, frames: Iterable[Frame], topic: str = CAMERA_TOPIC, **info: Any) -> Path:
-    """A log of pictures alone."""
-    with EpisodeWriter(path, EpisodeInfo(kind="drop", **info), live=False) as writer:
-        for frame in frames:
-            writer.write_frame(topic, frame)
-    return path
-
-
-@pytest.mark.slow
-def test_fresh_films_of_random_cameras(tmp_path: Path):
-    """The figure to hold: mean absolute error .015. `tests.bench video` has more drops."""
-    rng = np.random.default_rng(40_001)
-    off = []
-    for index in range(4):
-        truth = float(rng.uniform(0.1, 0.95))
-        picture = FilmOrder(exposure_s=float(rng.choice([0, 0.004])), noise=2)
-        order = {"restitution": truth, "hold_s": 0.3, "seconds": 2.2, "seed": 40_000 + index}
-        tuning = tune_log(film(tmp_path / f"{index}.mcap", picture, **order), TuneOptions())
-        assert tuning.task == "drop"
-        off.append(abs(value(tuning) - truth))
-    assert np.mean(off) < 0.01
 
 
 @pytest.mark.live
@@ -103,7 +72,7 @@ def test_a_network_camera_plays_a_drop(command: Command, tmp_path: Path):
     came = list(read_episode(tmp_path / "a.mcap").frames())
     assert [frame.data for frame in came] == sent
     evenly = (replace(one, stamp_ns=round(at * 1e9 / 60)) for at, one in enumerate(came))
-    tuning = tune_log(rewritten(tmp_path / "b.mcap", evenly), TuneOptions())
+    tuning = tune_episode(film_of(evenly), TuneOptions())
     assert value(tuning) == pytest.approx(0.74, abs=0.02)
 
 
@@ -143,7 +112,9 @@ def test_part_of_a_film(short: Path, tuned: Tuning):
     assert part.detection.drop.impact_s == pytest.approx(tuned.detection.drop.impact_s, abs=0.005)
 
 
-SMALL_JPEG = cv2.imencode(".jpg", np.zeros((60, 80, 3), np.uint8))[1].tobytes()
+def jpeg_of(width: int, height: int) -> bytes:
+    """A picture on which there is nothing."""
+    return cv2.imencode(".jpg", np.zeros((height, width, 3), np.uint8))[1].tobytes()
 
 
 class Film(NamedTuple):
@@ -163,26 +134,20 @@ FILMS = {
         at((10,), lambda one: one.data[:100]), "1 damaged pictures were left out"
     ),
     "two of another size": Film(
-        at((0, 9), lambda _: SMALL_JPEG), "2 pictures of another size were left out"
+        at((0, 9), lambda _: jpeg_of(80, 60)), "2 pictures of another size were left out"
     ),
     "slow": Film(lambda _, one: replace(one, stamp_ns=4 * one.stamp_ns), "frame rate", "suspect"),
+    "still": Film(lambda _, one: replace(one, data=jpeg_of(320, 240)), "fly", "rejected"),
     "garbage": Film(lambda _, one: replace(one, data=b"none"), "no picture", "rejected"),
     "one picture": Film(lambda number, one: None if number else one, "too few", "rejected"),
 }
 
 
 @pytest.mark.parametrize("name", FILMS)
-def test_pictures_that_are_not_what_they_should_be(
-    frames: list[Frame], short: Path, tmp_path: Path, name: str
-):
+def test_pictures_that_are_not_what_they_should_be(frames: list[Frame], short: Path, name: str):
     change, says, verdict = FILMS[name]
-    changed = [now for number, one in enumerate(frames) if (now := change(number, one))]
-    notes = read_episode(short).info
-    path = tmp_path / "a.mcap"
-    with EpisodeWriter(path, notes, live=False) as writer:
-        for frame in changed:
-            writer.write_frame("/camera", frame)
-    tuning = tune_log(path, TuneOptions())
+    changed = (now for number, one in enumerate(frames) if (now := change(number, one)))
+    tuning = tune_episode(film_of(changed, read_episode(short).info), TuneOptions())
     assert says in " ".join([*tuning.warnings, tuning.reason or ""])
     if verdict != "rejected":
         assert value(tuning) == pytest.approx(0.7, abs=0.01)
@@ -190,22 +155,12 @@ def test_pictures_that_are_not_what_they_should_be(
         assert tuning.verdict == verdict
 
 
-def test_a_still_picture_is_no_film(frames: list[Frame], tmp_path: Path):
-    still = [replace(frames[0], stamp_ns=one.stamp_ns) for one in frames]
-    tuning = tune_log(rewritten(tmp_path / "still.mcap", still), TuneOptions())
-    assert tuning.verdict == "rejected"
-    assert "fly" in (tuning.reason or "")
-
-
 @pytest.mark.parametrize("truth", [{"restitution": 0.1}, {}], ids=["wrong", "none"])
 def test_truth_in_the_log_changes_nothing(
-    frames: list[Frame], tuned: Tuning, tmp_path: Path, truth: dict[str, float]
+    frames: list[Frame], tuned: Tuning, truth: dict[str, float]
 ):
-    other = tune_log(rewritten(tmp_path / "a.mcap", frames, "/any", truth=truth), TuneOptions())
-    assert tuned.trace is not None
-    assert other.trace is not None
-    for mine, theirs in zip(tuned.trace.steps, other.trace.steps, strict=True):
-        assert np.array_equal(mine.values, theirs.values)
+    other = tune_episode(film_of(frames, EpisodeInfo(truth=truth)), TuneOptions())
+    assert steps(other) == steps(tuned)
 
 
 @pytest.mark.parametrize(
@@ -220,14 +175,13 @@ def test_truth_in_the_log_changes_nothing(
     ids=["good", "far", "aimed before", "corner", "later"],
 )
 def test_the_ball_marked_while_it_was_recorded(
-    frames: list[Frame], tuned: Tuning, tmp_path: Path, mark: dict[str, str], is_used: bool
+    frames: list[Frame], tuned: Tuning, mark: dict[str, str], is_used: bool
 ):
     track = tuned.detection.film.track
     is_later = mark.get("ball_at_stamp_ns", "").startswith("9")
     x, y = track.places_px[0 if is_later else 20]
     good = {"ball_at_px": f"{x:.1f},{y:.1f}", "ball_at_stamp_ns": str(track.stamps_ns[20])}
-    log = rewritten(tmp_path / "a.mcap", frames, "/camera", notes={**good, **mark})
-    tuning = tune_log(log, TuneOptions())
+    tuning = tune_episode(film_of(frames, EpisodeInfo(notes=good | mark)), TuneOptions())
     assert value(tuning) == pytest.approx(0.7, abs=0.01)
     assert any("without it" in one for one in tuning.warnings) is not is_used
 
@@ -316,9 +270,9 @@ def test_a_drop_that_a_gap_cuts_is_rejected_and_the_reason_says_so(
     log = without(filmed, tmp_path / "a.mcap", at_s, 0.05, is_marked=True)
     tuning = tune_log(log, TuneOptions())
     assert tuning.verdict == "rejected"
-    assert tuning.reason is not None
-    assert tuning.reason.startswith("the camera was away for 0.07 s at 0.")
-    assert "drop it again while the camera's connection holds" in tuning.reason
+    reason = known(tuning.reason)
+    assert reason.startswith("the camera was away for 0.07 s at 0.")
+    assert "drop it again while the camera's connection holds" in reason
     assert "  away: 0.07 s at" in describe(log, read_episode(log))
 
 
@@ -337,45 +291,16 @@ def test_a_long_pause_that_nobody_marked_is_never_ok(filmed: Episode, tmp_path: 
     assert tune_log(log, TuneOptions()).verdict != "ok"
 
 
-def sent_late(path: Path, seed: int) -> NDArray[np.int64]:
-    """The sample film in bursts of 100 ms, 3 % of it lost; when its pictures were taken [ns]."""
-    rng = np.random.default_rng(seed)
+def test_a_film_that_lost_pictures_on_its_way_tells_the_same():
+    """Sent in bursts of 100 ms, 3 % of it lost."""
+    rng = np.random.default_rng(1)
     frames = [one for one in read_episode(SAMPLE).frames() if rng.random() >= 0.03]
     taken = np.array([frame.stamp_ns for frame in frames])
     came = taken + (-taken - rng.integers(10**8)) % 10**8 + rng.integers(0, 10**5, len(taken))
     came = np.maximum.accumulate(came) + np.arange(len(taken))
     late = (replace(one, stamp_ns=int(ns)) for one, ns in zip(frames, came, strict=True))
-    rewritten(path, late, "/camera")
-    return taken
-
-
-def misplaced(stamps_ns: NDArray[np.int64], taken_ns: NDArray[np.int64]) -> float:
-    """Share of pictures that are off by more than half a tick, beside what most are off by."""
-    off = stamps_ns - taken_ns
-    return float(np.mean(np.abs(off - np.median(off)) > np.median(np.diff(taken_ns)) / 2))
-
-
-@pytest.mark.slow
-def test_flight_shows_where_pictures_are_missing(tmp_path: Path):
-    before, after = [], []
-    for seed in (1, 2):
-        path = tmp_path / f"{seed}.mcap"
-        taken_ns = sent_late(path, seed)
-        came = Pictures(read_episode(path), "/camera")
-        assert came.arrivals.clock is not None
-        assert came.arrivals.clock.unsure.any()
-        _, placed = placed_by_motion(track_ball(came), came.arrivals, came.start_ns, None)
-        before.append(misplaced(came.stamps_ns, taken_ns))
-        after.append(misplaced(placed.stamps_ns, taken_ns))
-    assert np.mean(after) < 0.1
-    assert np.mean(after) <= np.mean(before)
-
-
-def test_a_film_that_lost_pictures_on_its_way_tells_the_same(tmp_path: Path):
-    truth = tune_log(SAMPLE, TuneOptions())
-    sent_late(tmp_path / "late.mcap", 1)
-    found = tune_log(tmp_path / "late.mcap", TuneOptions())
-    assert value(found) == pytest.approx(value(truth), abs=0.01)
+    found = tune_episode(film_of(late), TuneOptions())
+    assert value(found) == pytest.approx(value(tune_log(SAMPLE, TuneOptions())), abs=0.01)
     assert any("perhaps a place off" in one or "missing" in one for one in found.warnings)
 
 
@@ -402,27 +327,6 @@ def test_a_film_of_unknown_rate_tells_a_restitution_and_no_metre(
     assert timed.detection.extent[1].endswith(" m")
 
 
-@pytest.mark.parametrize("factor", [0.05, 40])
-def test_any_nominal_clock_gives_the_same_restitution(filmed: Episode, factor: float):
-    track = track_ball(pictures(filmed))
-    since = track.stamps_ns - track.stamps_ns[0]
-    told, other = (
-        find_filmed_drop(replace(track, stamps_ns=np.round(since * by).astype(np.int64)), 0)
-        for by in (1.0, factor)
-    )
-    assert other.posterior.values[0] == pytest.approx(told.posterior.values[0], abs=5e-4)
-
-
-# ---- Words that are wrong
-
-
-def test_hints_for_pictures_are_not_used_in_silence(command: Command, drop_log: Path):
-    for words, code in (((), 0), (("--end", "0.1"), 1)):  # a drop, and none
-        result = command("tunenet-tune", drop_log, "--roi", "0,0,5,5", *words)
-        assert result.returncode == code
-        assert "--roi not used" in result.stdout + result.stderr
-
-
 @pytest.mark.parametrize(("kind", "length_s"), [("drop_log", "6.65"), ("short", "1.77")])
 def test_a_part_past_the_end_is_one_line_with_the_length(
     command: Command, kind: str, length_s: str, request: pytest.FixtureRequest, tmp_path: Path
@@ -435,69 +339,29 @@ def test_a_part_past_the_end_is_one_line_with_the_length(
     assert not result.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("--roi=400,0,20,20",), "320 x 240"),
-        (("--hsv=5,120,80:20,255,255", "--ball-at=1,2,3"), "--hsv does not go with --ball-at"),
-        (("--roi=1,2,3",), "--roi"),
-        (("--roi=0,0,0,5",), "--roi"),
-        (("--roi=a,b,c,d",), "--roi"),
-        (("--hsv=1,2,3",), "--hsv"),
-        (("--hsv=200,0,0:10,255,255",), "--hsv"),
-        (("--ball-at=1,2",), "--ball-at"),
-        (("--ball-at=nan,2,3",), "--ball-at"),
-    ],
-)
-def test_a_bad_mark_is_one_line_that_names_it(
-    command: Command, short: Path, tmp_path: Path, words: tuple[str, ...], says: str
-):
-    result = command("tunenet-tune", short, "-o", tmp_path, *words)
-    assert result.returncode == 2
-    assert result.stderr.count("\n") == 1
-    assert says in result.stderr
-
-
 # ---- Films of others
 
 
-@dataclass(frozen=True)
-class Phone:
-    """What `tunenet-tune` made of a phone's clip: 120 fps stored as 30, rotated."""
+def test_a_clip_of_a_phone_is_tuned_and_its_ball_is_where_it_is_by_hand(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """120 fps stored as 30, rotated. Measured by hand .507, 95 % .490 to .525.
 
-    done: CompletedProcess[str]
-    folder: Path
-    tuning: Tuning
-
-
-@pytest.fixture(scope="module")
-def phone(command: Command, tmp_path_factory: pytest.TempPathFactory) -> Phone:
-    """Tuned once, with no options; the tests look at what was written, and at the track."""
-    clip, folder = real("videos/red_ball_drop_120fps.mp4"), tmp_path_factory.mktemp("phone")
+    Impacts were read from the clip by eye: frames 201.6 and 281.2; it leaves at 287.
+    """
     tunings: list[Tuning] = []
 
     def kept(*asked: Any) -> Tuning:
         tunings.append(tune_log(*asked))
         return tunings[-1]
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(one_log, "tune_log", kept)
-        done = command("tunenet-tune", clip, "-o", folder)
-    (tuning,) = tunings
-    return Phone(done, folder, tuning)
-
-
-def test_a_clip_of_a_phone_is_tuned(phone: Phone):
-    """Measured by hand .507, 95 % .490 to .525."""
-    assert phone.done.returncode == 0, phone.done.stderr
-    result = json.loads((phone.folder / "red_ball_drop_120fps.json").read_text())
+    monkeypatch.setattr(one_log, "tune_log", kept)
+    done = command("tunenet-tune", real("videos/red_ball_drop_120fps.mp4"), "-o", tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "red_ball_drop_120fps.json").read_text())
     assert 0.44 < result["parameters"]["restitution"]["value"] < 0.58
-    assert (phone.folder / "red_ball_drop_120fps.rrd").stat().st_size > 100_000
-
-
-def test_a_real_ball_by_hand(phone: Phone):
-    """Impacts were read from the clip by eye: frames 201.6 and 281.2; it leaves at 287."""
-    track = phone.tuning.detection.film.track
+    assert (tmp_path / "red_ball_drop_120fps.rrd").stat().st_size > 100_000
+    track = tunings[0].detection.film.track
     assert track.found[140:286].mean() > 0.98
     assert not track.found[290:].any()
     height = track.places_px[:, 1]
@@ -519,26 +383,14 @@ def test_a_ball_that_does_not_bounce_is_rejected(command: Command, tmp_path: Pat
     assert "bounce" in report["reason"] or "fly" in report["reason"]
 
 
-def as_video(frames: list[Frame], path: Path) -> Path:
-    """Pictures in a file as a phone writes it."""
-    with av.open(str(path), "w") as container:
-        stream: Any = container.add_stream("libx264", rate=30)
-        stream.width, stream.height = 320, 240
-        stream.pix_fmt, stream.gop_size = "yuv420p", 15
-        for frame in frames:
-            shown = av.VideoFrame.from_ndarray(frame.decode(), format="rgb24")
-            container.mux(stream.encode(shown))
-        container.mux(stream.encode())
-    return path
-
-
 @pytest.mark.parametrize("whose", ["ours", pytest.param("a phone's", marks=pytest.mark.slow)])
 def test_a_video_with_a_hole_is_read_as_far_as_it_is_whole(
     command: Command, frames: list[Frame], tmp_path: Path, whose: str
 ):
     path = tmp_path / "hole.mp4"
     if whose == "ours":
-        data = bytearray(as_video(frames, path).read_bytes())
+        shown = ((one.stamp_ns, one.decode()) for one in frames)
+        data = bytearray(write_video_file(path, shown, "libx264", 30, g="15").read_bytes())
         start = 7 * len(data) // 10  # in the second flight
     else:
         data = bytearray(real("videos/red_ball_drop_120fps.mp4").read_bytes())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,10 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from tests.conftest import BIN, record
+from tests.analysis.answers import known, trace_of, value
+from tests.analysis.films import film_of
+from tests.analysis.review.stored import Stored, verified
+from tests.conftest import record
 from tests.engines import needs_pybullet
 from tests.strangers import Stranger, write_poses
 from tunenet_logs.analysis.drop.review.views import (
@@ -21,7 +23,6 @@ from tunenet_logs.analysis.drop.review.views import (
     log_bounces,
     model_path,
     review_data,
-    values_words,
 )
 from tunenet_logs.analysis.estimators.base import FitResult
 from tunenet_logs.analysis.experiment import Tuning, record_of
@@ -35,13 +36,8 @@ from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
 from tunenet_logs.recorders.simulators.ball import DropRig, DropSimulator
 from tunenet_logs.recorders.simulators.base import CALIBRATED
-from tunenet_logs.writing.writer import EpisodeWriter
 
-
-def verified(path: Path) -> None:
-    words = [BIN / "rerun", "rrd", "verify", path]
-    result = subprocess.run(words, capture_output=True, text=True, timeout=60)
-    assert result.returncode == 0, result.stderr
+TIMED = {"static", "log_time_s"}  # with what never changes: colours, sizes
 
 
 def contents(path: Path) -> dict[str, set[str]]:
@@ -53,24 +49,11 @@ def contents(path: Path) -> dict[str, set[str]]:
     return found
 
 
-def text(path: Path, entity: str) -> str:
-    """Of a text document that is static."""
-    for chunk in RrdReader(path).stream():
-        if str(chunk.entity_path) == entity:
-            ((words,),) = chunk.to_record_batch().column("TextDocument:text").to_pylist()
-            return words
-    return ""
-
-
-def drawn(path: Path, entity: str) -> list[str]:
-    """The labels of an entity, over all its times."""
-    labels: list[str] = []
-    for chunk in RrdReader(path).stream():
-        batch = chunk.to_record_batch()
-        if str(chunk.entity_path) == entity and "Points2D:labels" in batch.schema.names:
-            for row in batch.column("Points2D:labels").to_pylist():
-                labels += row or []
-    return labels
+def said(path: Path, entity: str, component: str) -> list[Any]:
+    """All that a component of an entity ever holds."""
+    found = Stored(path).entities[entity][component]
+    cells = [*found.static, *(cell for _, timed in found.timed.values() for cell in timed)]
+    return [one for cell in cells if cell.is_valid for one in cell.as_py()]
 
 
 @pytest.fixture(scope="module")
@@ -92,27 +75,14 @@ def reviewed(tuning: Tuning, folder: Path) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def review(tuned: Tuning, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return reviewed(tuned, tmp_path_factory.mktemp("review"))
-
-
-def test_every_iteration_lies_on_the_logs_time_and_can_be_scrubbed(review: Path):
+def test_iterations_can_be_scrubbed_and_lie_on_the_logs_time(tuned: Tuning, tmp_path: Path):
+    review = reviewed(tuned, tmp_path)
     entities = contents(review)
-    places = [f"/{view}/k{k}" for k in range(6) for view in ("height", "residual", "scene")]
-    for place in (*places, "/height/observed", "/scene/observed"):
-        assert entities[place] == {"static", "log_time_s"}, place
-    for place in ("/result", "/verdict", "/sheets/heights/observed", "/sheets/convergence/values"):
-        assert entities[place] == {"static"}, place
-    for place in ("/sheets/heights/simulated", "/step"):
-        assert entities[place] >= {"iteration"}, place
-    assert text(review, "/result").startswith("# ok")
-    limits = [
-        chunk.to_record_batch().column("Scalars:scalars").to_pylist()
-        for chunk in RrdReader(review).stream()
-        if str(chunk.entity_path) == "/residual/limit" and not chunk.is_static
-    ]
-    assert limits == [[[pytest.approx(5.0, abs=0.1), pytest.approx(-5.0, abs=0.1)]] * 2]
+    assert all(entities[f"/{view}/k{k}"] == TIMED for k in range(6) for view in ("height", "scene"))
+    assert entities["/sheets/heights/simulated"] >= {"iteration"}
+    assert said(review, "/result", "TextDocument:text")[0].startswith("# ok")
+    limits = said(review, "/residual/limit", "Scalars:scalars")
+    assert limits == pytest.approx([5.0, -5.0] * 2, abs=0.1)
 
 
 @needs_pybullet
@@ -129,19 +99,15 @@ def test_the_papers_presets_have_a_review_too(tmp_path: Path, preset: Any):
         assert np.sqrt(np.mean(off**2)) < 0.1
 
 
-def test_a_rejected_log_shows_what_was_recorded(tmp_path: Path):
-    tuning = tune_episode(simulate_drop(DropOrder(restitution=0.0, height_m=1.0)), TuneOptions())
-    assert "/recorded/ball/pose/z" in contents(reviewed(tuning, tmp_path))
-
-
 @pytest.mark.parametrize(
     ("topic", "shown"),
     [
+        ("/ball/pose", "/recorded/ball/pose/z"),
         ("/../we ird/тема//[x]{y}/\x07", ""),
         ("/bäll pose/\x1b[31mx//y", r"/recorded/bäll\ pose/\u{001B}\[31mx/y/z"),
     ],
 )
-def test_names_of_a_stranger_are_parts_of_a_path(
+def test_a_rejected_log_shows_what_was_recorded_whatever_it_is_called(
     tmp_path: Path, capfd: pytest.CaptureFixture, topic: str, shown: str
 ):
     stamps, positions = Stranger(0.0).samples()
@@ -160,27 +126,34 @@ def test_of_thousands_of_signals_the_first_are_drawn(tmp_path: Path):
     }
     path = reviewed(tune_episode(Episode(EpisodeInfo(), many), TuneOptions()), tmp_path)
     assert len([one for one in contents(path) if one.startswith("/recorded/")]) == 150
-    assert "1050 more curves are not drawn" in text(path, "/result")
-
-
-def test_a_place_that_cannot_be_written_raises(tuned: Tuning):
-    with pytest.raises(OSError, match="proc"):
-        write_review(tuned, record_of(tuned), Path("/proc/nowhere/a.rrd"))
+    assert "1050 more curves are not drawn" in said(path, "/result", "TextDocument:text")[0]
 
 
 def test_the_simulated_curve_of_the_result_lies_on_the_observed_one(tuned: Tuning):
-    off = review_data(tuned).residuals[-1].heights_m
-    assert np.abs(off).max() < 1e-3
+    assert np.abs(review_data(tuned).residuals[-1].heights_m).max() < 1e-3
+
+
+def test_the_result_between_the_samples_is_the_rollouts_ball():
+    truth = {"restitution": 0.8, "restitution_slope": 0.08, "drag": 0.1}
+    rig = DropRig(gap_m=1.5, rate_hz=120.0, samples=400, hold_s=0.2)
+    data = review_data(tune_episode(DropSimulator(rig, CALIBRATED).rollout(truth), TuneOptions()))
+    curve, ball = data.simulated[-1], known(data.ball)
+    off = ball.heights(curve.seconds) - curve.heights_m / data.drop_height_m
+    assert np.abs(off).max() < 2e-4
+    assert len(data.impacts_s) > 4
+    seen = np.interp(data.impacts_s, data.observed.seconds, data.observed.heights_m)
+    assert np.abs(seen).max() < 0.04  # no ideal ball's: after five bounces that is elsewhere
+
+
+# ---- A film
 
 
 def test_a_film_lies_under_its_balls_on_the_logs_time(filmed: Tuning, tmp_path: Path):
     path = reviewed(filmed, tmp_path)
     entities = contents(path)
-    for place in ("picture", "observed", "trail", *(f"k{k}" for k in range(6))):
-        assert entities[f"/film/{place}"] == {"static", "log_time_s"}, place
-    pictures = [frame.data for frame in filmed.episode.frames()]  # type: ignore[union-attr]
+    assert all(entities[f"/film/{place}"] == TIMED for place in ("picture", "observed", "k5"))
+    pictures = [frame.data for frame in known(filmed.episode).frames()]
     assert path.stat().st_size > 0.9 * sum(map(len, pictures))
-    assert not [one for one in entities if one.startswith("/sheets/bounces")]  # none was refined
 
 
 def test_the_simulated_balls_are_projected_onto_the_observed_one(filmed_log: Path):
@@ -199,128 +172,13 @@ def test_the_simulated_balls_are_projected_onto_the_observed_one(filmed_log: Pat
     assert rms_px(0) > 5
 
 
-def test_the_result_between_the_samples_is_the_rollouts_ball():
-    truth = {"restitution": 0.8, "restitution_slope": 0.08, "drag": 0.1}
-    rig = DropRig(gap_m=1.5, rate_hz=120.0, samples=400, hold_s=0.2)
-    data = review_data(tune_episode(DropSimulator(rig, CALIBRATED).rollout(truth), TuneOptions()))
-    curve, ball = data.simulated[-1], data.ball
-    assert ball is not None
-    off = ball.heights(curve.seconds) - curve.heights_m / data.drop_height_m
-    assert np.abs(off).max() < 2e-4
-    assert len(data.impacts_s) > 4
-    seen = np.interp(data.impacts_s, data.observed.seconds, data.observed.heights_m)
-    assert np.abs(seen).max() < 0.04  # no ideal ball's: after five bounces that is elsewhere
-
-
-@pytest.mark.parametrize("count", [15, 52], ids=["before it falls", "when it has hardly hit"])
-def test_a_film_without_a_drop_shows_what_was_tracked(filmed_log: Path, tmp_path: Path, count: int):
+def test_a_film_that_hardly_hit_shows_what_was_tracked(filmed_log: Path, tmp_path: Path):
     frames = list(read_episode(filmed_log).frames())
-    with EpisodeWriter(tmp_path / "a.mcap", EpisodeInfo(), live=False) as writer:
-        for frame in frames[:count]:
-            writer.write_frame("/camera", frame)
-    tuning = tune_log(tmp_path / "a.mcap", TuneOptions())
+    tuning = tune_episode(film_of(frames[:52]), TuneOptions())
     assert tuning.verdict == "rejected"
     entities = contents(reviewed(tuning, tmp_path))
     assert entities["/film/picture"] >= {"log_time_s"}
-    if count == 52:
-        assert tuning.refused is not None
-        for place in ("/film/observed", "/height/observed"):
-            assert entities[place] == {"static", "log_time_s"}, place
-        assert entities["/film/track"] == {"static"}
-
-
-RESTITUTIONS = (0.700, 0.712, 0.731)
-SPEEDS = (4.43, 3.10, 2.21)
-
-
-def with_rebounds(tuning: Tuning, speeds: tuple[float | None, ...] = SPEEDS) -> Tuning:
-    """A tuning whose refinement tells three bounces apart."""
-    drop = tuning.detection.drop
-    assert tuning.trace is not None
-    values = tuning.trace.estimate
-    ends = values[:, None] + np.array([-0.004, 0.004])
-    flights = 2 * drop.fall_time_s * np.cumsum([0.0, 0.7, 0.7**2])
-    rebounds = tuple(
-        Rebound(float(at), one, (one - 0.01, one + 0.01), speed)
-        for at, one, speed in zip(drop.impact_s + flights, RESTITUTIONS, speeds, strict=True)
-    )
-    fit = FitResult(values, ends, detail=rebounds)
-    steps = (*tuning.trace.steps, tuning.trace.steps[-1])
-    return replace(tuning, trace=replace(tuning.trace, steps=steps, fit=fit))
-
-
-def words_of(tuning: Tuning) -> str:
-    return result_words(record_of(tuning), tuning.preset, "drop")
-
-
-def doubted(tuning: Tuning) -> Tuning:
-    """The same with a check that failed: no interval is honest then."""
-    first = replace(tuning.checks[0], passed=False)
-    return replace(tuning, checks=(first, *tuning.checks[1:]), verdict="suspect", reason="a: b")
-
-
-def test_the_json_has_every_bounce(filmed: Tuning):
-    bounces = json.loads(to_json(record_of(with_rebounds(filmed))))["bounces"]
-    assert [one["restitution"] for one in bounces] == list(RESTITUTIONS)
-    assert [one["impact_speed"] for one in bounces] == list(SPEEDS)
-    assert bounces[1]["interval95"] == pytest.approx([0.702, 0.722])
-    assert {one["unit"] for one in bounces} == {"m/s"}
-    tuning = doubted(with_rebounds(filmed, (None, None, None)))
-    assert tuning.interval95 is None
-    for one in json.loads(to_json(record_of(tuning)))["bounces"]:
-        assert one["interval95"] is None
-        assert one["impact_speed"] is None
-
-
-def test_without_a_refinement_there_is_the_first(filmed: Tuning):
-    (only,) = record_of(filmed).rebounds
-    assert filmed.estimate is not None
-    assert only.restitution == filmed.estimate[0]
-    assert only.interval95 is None
-    assert only.impact_speed_m_s == pytest.approx(np.sqrt(2 * 9.81), rel=0.03)
-    assert record_of(replace(filmed, verdict="rejected")).rebounds == ()
-
-
-def test_the_words_name_bounces_interval_and_cross_check(filmed: Tuning):
-    words = words_of(with_rebounds(filmed))
-    assert " | 0.7120 | 0.7020 to 0.7220 | 3.100 |" in words
-    assert "| parameter | value | 95 % interval |" in words
-    assert "A second estimate agrees: 0.7" in words
-    unsure = words_of(doubted(with_rebounds(filmed, (None, None, None))))
-    assert " | 0.7120 | - | not known |" in unsure
-    assert "| parameter | value | 95 % interval (suspect) |" in unsure
-    assert "| restitution | 0.7" in unsure
-    assert " to " not in unsure.partition("| parameter |")[2].partition("second estimate")[0]
-
-
-def test_the_bounces_have_a_chart_and_the_latest_is_named_over_the_video(
-    filmed: Tuning, tmp_path: Path
-):
-    path = reviewed(with_rebounds(filmed), tmp_path)
-    entities = contents(path)
-    for name in (
-        "sheets/bounces/values",
-        "sheets/bounces/intervals",
-        "sheets/convergence/interval",
-    ):
-        assert entities[f"/{name}"] == {"static"}, name
-    # The third figure would overlap.
-    assert drawn(path, "/sheets/bounces/figures") == ["0.700", "0.712"]
-    assert entities["/film/path"] == entities["/film/impacts"] == {"static"}
-    assert entities["/film/impact"] == {"static", "log_time_s"}
-    names = drawn(path, "/film/impact")
-    assert names[:4] == ["bounce 1: 0.700", "bounce 2: 0.712", "bounce 3: 0.731", "bounce 4"]
-
-
-def test_the_chart_shows_no_more_than_is_known(filmed: Tuning, tmp_path: Path):
-    nowhere = rr.RecordingStream("tunenet test of bounces")
-    named = log_bounces(nowhere, review_data(with_rebounds(filmed))).name
-    assert named == "restitution by impact speed [m/s], bars: 95 %"
-    tuning = doubted(with_rebounds(filmed, (None, None, None)))
-    assert log_bounces(nowhere, review_data(tuning)).name == "restitution by bounce"
-    path = reviewed(tuning, tmp_path)
-    assert "/sheets/convergence/interval" not in contents(path)
-    assert drawn(path, "/sheets/bounces/labels")[-3:] == ["1", "2", "3"]
+    assert entities["/film/observed"] == entities["/height/observed"] == TIMED
 
 
 def test_the_results_path_goes_where_the_ball_was_seen(filmed: Tuning):
@@ -344,6 +202,85 @@ def test_impacts_are_marked_where_the_ball_hits(filmed: Tuning):
     assert len(found) < 10  # those after are too low to be told apart
 
 
+# ---- Each bounce
+
+
+RESTITUTIONS, SPEEDS = (0.700, 0.712, 0.731), (4.43, 3.10, 2.21)
+
+
+def with_rebounds(tuning: Tuning, *, is_doubted: bool = False) -> Tuning:
+    """A tuning whose refinement tells three bounces apart; with a check that failed, no speed."""
+    drop = tuning.detection.drop
+    trace = trace_of(tuning)
+    values = trace.estimate
+    ends = values[:, None] + np.array([-0.004, 0.004])
+    flights = 2 * drop.fall_time_s * np.cumsum([0.0, 0.7, 0.7**2])
+    speeds = (None, None, None) if is_doubted else SPEEDS
+    rebounds = tuple(
+        Rebound(float(at), one, (one - 0.01, one + 0.01), speed)
+        for at, one, speed in zip(drop.impact_s + flights, RESTITUTIONS, speeds, strict=True)
+    )
+    fit = FitResult(values, ends, detail=rebounds)
+    told = replace(tuning, trace=replace(trace, steps=(*trace.steps, trace.steps[-1]), fit=fit))
+    if not is_doubted:
+        return told
+    first = replace(tuning.checks[0], passed=False)
+    return replace(told, checks=(first, *tuning.checks[1:]), verdict="suspect", reason="a: b")
+
+
+def words_of(tuning: Tuning) -> str:
+    return result_words(record_of(tuning), tuning.preset, "drop")
+
+
+def test_json_and_words_have_every_bounce(filmed: Tuning):
+    known = with_rebounds(filmed)
+    bounces = json.loads(to_json(record_of(known)))["bounces"]
+    assert [one["restitution"] for one in bounces] == list(RESTITUTIONS)
+    assert [one["impact_speed"] for one in bounces] == list(SPEEDS)
+    assert bounces[1]["interval95"] == pytest.approx([0.702, 0.722])
+    assert {one["unit"] for one in bounces} == {"m/s"}
+    words = words_of(known)
+    assert " | 0.7120 | 0.7020 to 0.7220 | 3.100 |" in words
+    assert "| parameter | value | 95 % interval |" in words
+    assert "A second estimate agrees: 0.7" in words
+
+
+def test_of_a_doubted_drop_no_interval_is_told(filmed: Tuning):
+    tuning = with_rebounds(filmed, is_doubted=True)
+    assert tuning.interval95 is None
+    for one in json.loads(to_json(record_of(tuning)))["bounces"]:
+        assert one["interval95"] is one["impact_speed"] is None
+    words = words_of(tuning)
+    assert " | 0.7120 | - | not known |" in words
+    assert "| parameter | value | 95 % interval (suspect) |" in words
+    assert "| restitution | 0.7" in words
+    assert " to " not in words.partition("| parameter |")[2].partition("second estimate")[0]
+
+
+def test_without_a_refinement_there_is_the_first(filmed: Tuning):
+    (only,) = record_of(filmed).rebounds
+    assert only.restitution == value(filmed)
+    assert only.interval95 is None
+    assert only.impact_speed_m_s == pytest.approx(np.sqrt(2 * 9.81), rel=0.03)
+    assert record_of(replace(filmed, verdict="rejected")).rebounds == ()
+
+
+def test_the_bounces_have_a_chart_that_shows_no_more_than_is_known(filmed: Tuning, tmp_path: Path):
+    path = reviewed(with_rebounds(filmed), tmp_path)
+    # The third figure would overlap.
+    assert said(path, "/sheets/bounces/figures", "Points2D:labels") == ["0.700", "0.712"]
+    names = ["bounce 1: 0.700", "bounce 2: 0.712", "bounce 3: 0.731", "bounce 4"]
+    assert said(path, "/film/impact", "Points2D:labels")[:4] == names
+    nowhere = rr.RecordingStream("tunenet test of bounces")
+    named = log_bounces(nowhere, review_data(with_rebounds(filmed))).name
+    assert named == "restitution by impact speed [m/s], bars: 95 %"
+    doubted = with_rebounds(filmed, is_doubted=True)
+    assert log_bounces(nowhere, review_data(doubted)).name == "restitution by bounce"
+    path = reviewed(doubted, tmp_path)
+    assert "/sheets/convergence/interval" not in contents(path)
+    assert said(path, "/sheets/bounces/labels", "Points2D:labels")[-3:] == ["1", "2", "3"]
+
+
 def test_a_rejected_drop_is_shown_with_what_to_do_and_no_value(filmed: Tuning, tmp_path: Path):
     failed = ("first flight seen", "stays on the table")
     checks = tuple(
@@ -359,9 +296,3 @@ def test_a_rejected_drop_is_shown_with_what_to_do_and_no_value(filmed: Tuning, t
     assert first.startswith("first flight seen: ")
     assert "at the next drop: record until the ball lies still" in first
     assert "at the next drop: drop onto the middle of a large" in second
-
-
-def test_a_legend_has_the_whole_vector():
-    values = {"restitution": 0.7523, "restitution_slope": -0.0001, "drag": 0.11}
-    assert values_words(values) == "e=.752 p=.000 k=.110/m"
-    assert values_words({"restitution": 0.7523}) == "e=0.7523"

@@ -3,73 +3,26 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
-import os
-import signal
-import subprocess
+import shlex
 import sys
-import time
 from importlib import import_module
 from pathlib import Path
 
 import cv2
 import pytest
 
-from tests.analysis.drop.test_review import verified
-from tests.conftest import ROOT, Command
+from tests.analysis.review.stored import verified
+from tests.conftest import Command
 from tests.engines import needs_pybullet
 from tunenet_logs.analysis.evaluation.cli import build_parser, main
 from tunenet_logs.analysis.evaluation.study import (
     METHODS,
     STUDIES,
     Order,
-    Part,
-    csv_text,
-    short,
-    table,
 )
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import Progress
-
-
-@pytest.mark.parametrize(
-    ("error", "text"),
-    [
-        *((0.25, ".2500"), (0.0012, ".0012"), (0.00018, ".00018"), (2e-6, "2.0e-6")),
-        *((0, "<1e-9"), (None, "-")),
-    ],
-)
-def test_small_errors_keep_two_digits(error: float, text: str):
-    assert short(error) == text
-
-
-def test_a_cell_of_a_table_reaches_over_empty_ones():
-    lines = [["", "two of a kind", "", "", "x"], ["a", "1", "2", "3", "4"], ["long name"]]
-    assert table(lines, "title").splitlines() == [
-        "title",
-        "   two of a kind  x",
-        "a  1  2  3  4",
-        "long name",
-    ]
-
-
-def test_rows_of_csv_are_those_of_json_without_lists():
-    parts = [
-        Part("one", "", [{"a": 1, "b": float("nan"), "c": [1, 2]}]),
-        Part("two", "", [{"a": 2, "d": "x, y"}]),
-    ]
-    rows = list(csv.DictReader(io.StringIO(csv_text("video", parts))))
-    assert rows[0] == {"tunenet_eval": "video", "section": "one", "a": "1", "b": "", "d": ""}
-    assert rows[1] == {"tunenet_eval": "video", "section": "two", "a": "2", "b": "", "d": "x, y"}
-
-
-def test_targets_are_split_between_processes_and_none_is_lost():
-    portions = Order((1, 2), 12).portions(5)
-    assert [len(numbers) for _, numbers in portions] == [5, 5, 2] * 2
-    assert {(seed, one) for seed, numbers in portions for one in numbers} == {
-        (seed, one) for seed in (1, 2) for one in range(12)
-    }
 
 
 def test_the_help_names_every_study_section_and_method():
@@ -82,41 +35,32 @@ def test_the_help_names_every_study_section_and_method():
     assert all(name in text for name in names)
 
 
-# The words of a small run of each study, the rows that it gives, and what it prints.
+_FEW = "--pairs 60 --epochs"
+# The words of a small run of each study, and what it prints.
 SMALL = {
     "payload": (
-        *("--sections", "masses,strangers,conventions,cards", "--pairs", "60", "--epochs", "2"),
-        *("--targets", "1"),
+        f"--sections masses,strangers,conventions,cards {_FEW} 2 --targets 1",
+        ("TuneNet, paper's text", "full, twice as large", "wrong and ok", "three tares"),
     ),
-    "motion": ("--targets", "2", "--pairs", "60", "--epochs", "1"),
-    "intervals": ("--targets", "2"),
-    "positions": ("--targets", "2"),
-    "throws": ("--targets", "5"),
-    "impact-times": ("--targets", "8"),
-    "video": ("--targets", "2", "--sections", "slope, set-B,bound", "--first-seed", "1000"),
-    "real-balls": ("--targets", "1"),
-    "bounce-shot": ("--targets", "2", "--pairs", "50"),
-    "engines": ("--targets", "1"),
-    "exports": ("--targets", "1"),
-    "network": ("--targets", "1", "--epochs", "1"),
-    "sysid": ("--targets", "1", "--sections", "tuned,wrong"),
-    "sound": ("--targets", "1", "--sections", "uneven"),
-}
-PRINTED = {
-    "payload": ("TuneNet, paper's text", "full, twice as large", "wrong and ok", "three tares"),
-    "motion": ("VRNN hybrid",),
-    "intervals": ("95 % intervals",),
-    "positions": ("5 mm", "speeds"),
-    "throws": ("dribbled", "tossed"),
-    "impact-times": ("one missed", "drum roll"),
-    "video": ("Set B: falls", "falls with speed"),
-    "real-balls": ("Restitution at the first impact: films", "best airless"),
-    "bounce-shot": ("paper's, on the table", "62 %", "off the table"),
-    "engines": ("promised of tunenet+refine",),
-    "exports": ("calibrated, impacts met", "mujoco, coarse", "bare loop"),
-    "network": ("Payloads [kg]", "lines from the same guess", "Hard, 1 cm"),
-    "sysid": ("none should come out ok",),
-    "sound": ("the law's restitution at the second impact",),
+    "motion": (f"--targets 2 {_FEW} 1", ("VRNN hybrid",)),
+    "intervals": ("--targets 2", ("95 % intervals",)),
+    "positions": ("--targets 2", ("5 mm", "speeds")),
+    "throws": ("--targets 5", ("dribbled", "tossed")),
+    "impact-times": ("--targets 8", ("one missed", "drum roll")),
+    "video": (
+        "--targets 2 --sections 'slope, set-B,bound' --first-seed 1000",
+        ("Set B: falls", "falls with speed"),
+    ),
+    "real-balls": ("--targets 1", ("Restitution at the first impact: films", "best airless")),
+    "bounce-shot": ("--targets 2 --pairs 50", ("paper's, on the table", "62 %", "off the table")),
+    "engines": ("--targets 1", ("promised of tunenet+refine",)),
+    "exports": ("--targets 1", ("calibrated, impacts met", "mujoco, coarse", "bare loop")),
+    "network": (
+        "--targets 1 --epochs 1",
+        ("Payloads [kg]", "lines from the same guess", "Hard, 1 cm"),
+    ),
+    "sysid": ("--targets 1 --sections tuned,wrong", ("none should come out ok",)),
+    "sound": ("--targets 1 --sections uneven", ("the law's restitution at the second impact",)),
 }
 
 
@@ -129,18 +73,19 @@ def test_a_study_prints_and_writes_the_same_rows(
     study: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     files = {form: tmp_path / f"a.{form}" for form in ("json", "csv")}
-    words = [study, "--seeds", "1", "--jobs", "1", "--quiet", *SMALL[study]]
+    small, printed = SMALL[study]
+    words = [study, "--seeds", "1", "--jobs", "1", "--quiet", *shlex.split(small)]
     words += [str(word) for form, path in files.items() for word in (f"--{form}", path)]
     assert main(words) == 0
     told = capsys.readouterr()
     assert not told.err
-    assert all(one in told.out for one in PRINTED[study])
+    assert all(one in told.out for one in printed)
     assert "nan" not in told.out.lower().replace("tunenet", "")
     record = json.loads(files["json"].read_text())
     rows = list(csv.DictReader(files["csv"].read_text().splitlines()))
     assert (record["experiment"], record["seeds"]) == (
         study,
-        [1000 if "1000" in SMALL[study] else 1],
+        [1000 if "1000" in small else 1],
     )
     assert len(rows) == len(record["rows"]) > 0
     for mine, other in zip(rows, record["rows"], strict=True):
@@ -202,78 +147,6 @@ def test_a_campaign_keeps_its_logs_and_outcomes(command: Command, tmp_path: Path
         assert read_episode(logs[0]).info.kind == "drop"
         if trial["restitution"] is not None and trial["round"]:
             assert trial["restitution"] == pytest.approx(trial["truth_at_shot"], abs=0.02)
-
-
-@pytest.mark.slow
-def test_an_interrupt_ends_it_at_once_and_leaves_nothing(tmp_path: Path):
-    words = ["drop", "--methods", "tpe", "--targets", "1000", "--jobs", "2"]
-    words += ["--json", str(tmp_path / "a.json")]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "tunenet_logs.analysis.evaluation.cli", *words],
-        cwd=ROOT,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
-    try:
-        while running.poll() is None and len(children.read_text().split()) < 3:
-            time.sleep(0.05)
-        os.killpg(running.pid, signal.SIGINT)
-        _, told = running.communicate(timeout=60)
-    finally:
-        if running.poll() is None:
-            os.killpg(running.pid, signal.SIGKILL)
-    assert running.returncode == 130
-    assert told == "tunenet-eval: interrupted\n"
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        ("drop --methods mean,best", "no 'best'; there is: mean, entropy-search"),
-        ("drop --methods ", "--methods names none; there is: mean, entropy-search"),
-        ("drop --methods ,", "--methods names none"),
-        ("drop --methods difference --png a.png", "--png: no method chosen has a"),
-        ("drop --methods difference --rrd a.rrd", "--rrd: no method chosen has a"),
-        ("motion --csv -", "--csv -: only --json goes to standard output"),
-        ("drop --png a.jpg", "a.jpg: --png writes .png"),
-        ("drop --rrd a", "a: --rrd writes .rrd"),
-        ("intervals --methods mean", "--methods is for drop, not intervals"),
-        ("drop --json /nowhere/a.json", "/nowhere: no such folder"),
-        ("drop --png .", "is a folder; give --png another file"),
-        ("drop --json a --csv a", "both --json and --csv name it"),
-        ("drop --seeds 0", "not a whole number"),
-        ("drop --rollouts 0", "not a whole number"),
-        ("drop --rollouts 101", "--rollouts"),
-        ("motion --rollouts 5", "--rollouts is for drop, not motion"),
-        ("motion --png a.png", "--png is for drop, not motion"),
-        ("video --rrd a.rrd", "--rrd is for drop, not video"),
-        ("video --sections set-D", "no 'set-D'; there is: set-A, set-B"),
-        ("video --sections ,", "--sections names none; there is: set-A"),
-        ("payload --sections bad", "there is: masses, logs"),
-        ("drop --sections bad", "sysid and sound, not drop; leave it out"),
-        ("video --campaign a", "--campaign is for bounce-shot, not video"),
-        (f"bounce-shot --campaign {ROOT}", "is there already"),
-        ("everything", "invalid choice"),
-        ("", "required"),
-    ],
-)
-def test_wrong_usage_is_one_line_before_any_work(
-    words: str,
-    says: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-):
-    monkeypatch.chdir(tmp_path)
-    assert main(words.split(" ") if words else []) == 2
-    told = capsys.readouterr()
-    assert says in told.err
-    assert told.err.count("\n") == 1
-    assert not told.out
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -113,17 +113,6 @@ def test_no_word_of_a_log_leaves_its_comment(
             assert all(line.isprintable() for line in other.read_text().split("\n"))
 
 
-@pytest.mark.parametrize("engine", FORMATS)
-def test_a_rejected_tuning_is_refused(export: Command, tmp_path: Path, engine: str):
-    rejected = {"verdict": "rejected", "reason": "no fall", "parameters": None, "bounces": []}
-    tuning = ball_tuning(tmp_path / "a.json", **rejected)
-    result = export(tuning, "--to", engine)
-    assert (result.returncode, result.stdout) == (1, "")
-    assert "rejected (no fall)" in result.stderr
-    assert result.stderr.count("\n") == 1
-    assert list(tmp_path.iterdir()) == [tuning]
-
-
 WORDS = st.lists(st.text(st.characters() | st.sampled_from("-><!#\n\r\x85\u2028\"'")), max_size=4)
 
 

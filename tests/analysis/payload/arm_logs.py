@@ -56,6 +56,21 @@ def with_values(change):
     return lambda signal: replace(signal, values=change(np.array(signal.values)))
 
 
+def of_all(change) -> dict:
+    """For `changed`: the same change of all three."""
+    return dict.fromkeys(("position", "velocity", "effort"), change)
+
+
+def stuck(first: int, last: int):
+    """For `with_values`: what is said once is said again for a while."""
+
+    def change(values):
+        values[first:last] = values[first]
+        return values
+
+    return change
+
+
 def renamed(signal: Signal, columns: tuple[str, ...]) -> Signal:
     return replace(signal, columns=columns)
 

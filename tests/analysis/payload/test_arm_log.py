@@ -15,9 +15,11 @@ from tests.analysis.payload.arm_logs import (
     changed,
     circle_log,
     driver,
+    of_all,
     on_topic,
     paused,
     renamed,
+    stuck,
     with_fingers,
     with_values,
 )
@@ -72,7 +74,7 @@ def hurried(one: Signal) -> Signal:
 @pytest.mark.parametrize(
     "changes",
     [
-        dict.fromkeys(("position", "velocity", "effort"), hurried),
+        of_all(hurried),
         {"position": with_values(lambda q: np.where(np.arange(len(q))[:, None] % 2, q, 0.0))},
     ],
     ids=["stamps too close", "a second publisher of zeros"],
@@ -86,17 +88,8 @@ def test_speeds_that_no_arm_has_are_no_sign_of_degrees(episode, changes):
 def test_of_a_long_log_the_part_that_moves_is_used_and_that_is_said(episode):
     seconds = np.arange(0, 2400, 0.5)
     moves = ((seconds >= 1300) * np.sin(seconds))[:, None] * np.linspace(0.3, 0.9, 7)
-    long = changed(
-        episode,
-        **dict.fromkeys(
-            ("position", "velocity", "effort"),
-            lambda one: replace(
-                one,
-                stamps_ns=(1e9 * seconds).astype(np.int64),
-                values=moves + 1e-6 * seconds[:, None],
-            ),
-        ),
-    )
+    stamps_ns, values = (1e9 * seconds).astype(np.int64), moves + 1e-6 * seconds[:, None]
+    long = changed(episode, **of_all(lambda one: replace(one, stamps_ns=stamps_ns, values=values)))
     found = read_arm_log(long, ARM)
     first_s, last_s = found.position.seconds[[0, -1]]
     assert 1200 <= first_s <= 1320
@@ -110,7 +103,7 @@ def test_of_a_long_log_the_part_that_moves_is_used_and_that_is_said(episode):
 
 def test_columns_are_brought_into_the_arms_order(episode):
     plain = read(episode)
-    found = read(episode, position=with_fingers, velocity=with_fingers, effort=with_fingers)
+    found = read(episode, **of_all(with_fingers))
     assert found.joints == plain.joints
     np.testing.assert_array_equal(found.effort.values, plain.effort.values)
 
@@ -146,20 +139,17 @@ def test_a_part_of_the_log(episode):
         read_arm_log(episode, ARM, start_s=99)
 
 
-def holes(values):
-    values[10:20, 3] = np.nan
-    return values
-
-
-def deaf(values):
-    values[:, 6] = np.nan
-    return values
-
-
 def test_what_is_no_number_is_left_out(episode):
+    def without(rows: slice, joint: int):
+        def change(values):
+            values[rows, joint] = np.nan
+            return values
+
+        return with_values(change)
+
     whole = len(read(episode).effort.seconds)
-    assert len(read(episode, effort=with_values(holes)).effort.seconds) == whole - 10
-    log = read(episode, effort=with_values(deaf))
+    assert len(read(episode, effort=without(slice(10, 20), 3)).effort.seconds) == whole - 10
+    log = read(episode, effort=without(slice(None), 6))
     assert list(log.constant) == [False] * 6 + [True]
     assert len(log.effort.seconds) == whole
     assert read(episode, velocity=with_values(lambda one: one + np.nan)).velocity is None
@@ -173,17 +163,12 @@ def test_what_is_no_number_is_left_out(episode):
         ({"effort": with_values(lambda one: one + np.nan)}, "no torque is a number"),
         ({"effort": lambda one: renamed(one, tuple("abcdefg"))}, "there: a, b, c"),
         ({"position": lambda one: renamed(one, tuple("abcdefg"))}, "there: a, b, c"),
+        ({"effort": lambda one: replace(one, unit="")}, "no joint torques in this log"),
     ],
 )
 def test_what_cannot_be_used_is_refused_with_its_reason(episode, change, reason):
     with pytest.raises(NotFoundError, match=reason):
-        read_arm_log(changed(episode, **change), ARM)
-
-
-def test_a_log_without_torques_is_refused(episode):
-    signals = {name: one for name, one in episode.signals.items() if "effort" not in name}
-    with pytest.raises(NotFoundError, match="no joint torques in this log"):
-        read_arm_log(replace(episode, signals=signals), ARM)
+        read(episode, **change)
 
 
 def test_a_topic_without_the_arms_joints_is_refused(episode):
@@ -206,7 +191,7 @@ UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
     "columns",
     [
         JACO,
-        tuple(f"joint{number}" for number in range(1, 8)),
+        NUMBERED,
         tuple(f"left/j2s7s300_joint_{number}" for number in range(1, 8)),
         tuple(f"panda_joint{number}" for number in range(1, 8)),
         tuple(f"A{number}" for number in range(1, 8)),
@@ -250,47 +235,32 @@ def test_joints_that_are_not_found_are_named(joints, columns, says):
         match_joints(joints, columns)
 
 
-def _flickers(values):
-    values[:] = values[0]
-    values[150, 2] += 1e-4
-    return values
-
-
-def _steps(off_rad):
-    def step(values):
+@pytest.mark.parametrize(("last", "off_rad"), [(151, 1e-4), (None, 1e-3), (None, 0.3)])
+def test_positions_of_an_arm_at_rest_that_hardly_change_are_a_motion(episode, last, off_rad):
+    def steps(values):
         values[:] = values[0]
-        values[150:] += off_rad
+        values[150:last, 2] += off_rad
         return values
 
-    return step
-
-
-@pytest.mark.parametrize("change", [_flickers, _steps(1e-3), _steps(0.3)])
-def test_positions_of_an_arm_at_rest_that_hardly_change_are_a_motion(episode, change):
-    motion = arm_motion(read_arm_log(changed(episode, position=with_values(change)), ARM))
+    motion = arm_motion(read(episode, position=with_values(steps)))
     position, _, _ = motion.at(motion.seconds)
     start = episode.signals["/joint_states.position"].values[0]
     assert np.abs(position - start).max() < 0.4
 
 
-def test_an_arm_that_rests_still_has_positions():
+def test_an_arm_that_rests_still_has_positions(episode):
     def rests(values):
         values[100:200] = values[100]
         values[200:] -= values[200] - values[100]
         return values
 
-    log = read_arm_log(changed(circle_log(Payload(0.5)), position=with_values(rests)), ARM)
+    log = read(episode, position=with_values(rests))
     assert float(np.diff(log.position.seconds).max()) < 0.2
 
 
 @pytest.mark.parametrize("fields", [("position", "effort"), ("position",)])
-def test_a_driver_that_was_stuck_leaves_a_hole(fields):
-    def stuck(values):
-        values[100:160] = values[100]
-        return values
-
-    stuck_log = changed(circle_log(Payload(0.5)), **dict.fromkeys(fields, with_values(stuck)))
-    log = read_arm_log(stuck_log, ARM)
+def test_a_driver_that_was_stuck_leaves_a_hole(episode, fields):
+    log = read(episode, **dict.fromkeys(fields, with_values(stuck(100, 160))))
     assert float(np.diff(log.position.seconds).max()) > 0.9
     motion = arm_motion(log)
     inside = (motion.seconds > 100 / 60 + 0.1) & (motion.seconds < 160 / 60 - 0.1)
@@ -352,7 +322,7 @@ def log_of(path: str, disturbances: Disturbances) -> Episode:
 
 def acceleration_error(path: str, episode: Episode) -> float:
     """Of the motion that is found, rms [rad/s^2]."""
-    motion = arm_motion(read_arm_log(episode, ARM))
+    motion = arm_motion(read(episode))
     first_s = float(episode.signals["/joint_states.position"].stamps_ns[0]) * 1e-9
     truth = CubicSpline(PATHS[path].seconds, PATHS[path].acceleration_rad_s2)
     _, _, found = motion.at(motion.seconds)
@@ -376,7 +346,7 @@ def acceleration_error(path: str, episode: Episode) -> float:
 )
 def test_a_rest_is_no_stale_sample(path: str, rate_hz: float, step_rad: float, most: float):
     episode = log_of(path, Disturbances(rate_hz=rate_hz, position_step_rad=step_rad))
-    log = read_arm_log(episode, ARM)
+    log = read(episode)
     assert (log.position.repeated, log.position.late_s, log.effort.late_s) == (0.0, 0.0, 0.0)
     assert len(log.position.seconds) == len(episode.signals["/joint_states.position"].stamps_ns)
     assert acceleration_error(path, episode) < most
@@ -389,7 +359,7 @@ def test_a_driver_that_is_stale_rests_too(path: str, rate_hz: float, step_rad: f
     clock = stale_clock(rate_hz)
     stale = Disturbances(rate_hz=rate_hz, clock=clock, position_step_rad=step_rad)
     episode = log_of(path, stale)
-    log = read_arm_log(episode, ARM)
+    log = read(episode)
     assert log.position.rate_hz == pytest.approx(clock.position_hz, rel=0.1)
     assert 0.4 < log.position.repeated < 0.56
     assert 0.15 < log.effort.repeated < 0.22
@@ -399,21 +369,14 @@ def test_a_driver_that_is_stale_rests_too(path: str, rate_hz: float, step_rad: f
 
 
 @pytest.mark.parametrize("path", PATHS)
-@pytest.mark.parametrize("noise_nm", [0.0, 0.2])
-def test_an_arm_that_rests_at_10_hz_has_no_gaps(path: str, noise_nm: float):
-    episode = log_of(path, Disturbances(rate_hz=10.0, torque_noise_nm=noise_nm))
-    log = read_arm_log(episode, ARM)
-    checks = arm_checks(log, arm_motion(log), ARM)
-    assert [check.name for check in checks if not check.passed] == []
+def test_an_arm_that_rests_at_10_hz_has_no_gaps(path: str):
+    log = read(log_of(path, Disturbances(rate_hz=10.0, torque_noise_nm=0.2)))
+    assert [check.name for check in arm_checks(log, arm_motion(log), ARM) if not check.passed] == []
 
 
 def test_torques_that_are_stuck_while_the_arm_moves_are_no_rest():
-    def stuck(values):
-        values[60:120] = values[60]
-        return values
-
     whole = log_of("a pause", Disturbances(rate_hz=60.0))
-    log = read_arm_log(changed(whole, effort=with_values(stuck)), ARM)
+    log = read(whole, effort=with_values(stuck(60, 120)))
     assert float(np.diff(log.effort.seconds).max()) == pytest.approx(1.0, abs=0.02)
     assert float(np.diff(log.position.seconds).max()) < 0.02
 
@@ -442,7 +405,7 @@ def with_stamps(episode: Episode, change) -> Episode:
         order = np.argsort(stamps)
         return replace(signal, stamps_ns=stamps[order], values=signal.values[order])
 
-    return changed(episode, position=moved, velocity=moved, effort=moved)
+    return changed(episode, **of_all(moved))
 
 
 def pushed(first: int, by_s: float, last: int | None = None):

@@ -7,6 +7,7 @@ time, a static one before all others; a row may hold nothing, which clears what 
 from __future__ import annotations
 
 import re
+import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
+
+from tests.conftest import BIN
+from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.review.tuning import write_review
 
 # Of one component: Arrow's list of instances for each row, null where the row does not touch it;
 # read only where it is asked for, as pictures are large.
@@ -39,14 +44,10 @@ _TIMELINE = re.compile(r"\(timeline (\w+)\)")  # in the name of a tab: what it i
 
 @dataclass
 class Component:
-    """One component of one entity.
+    """One component of one entity."""
 
-    Attributes:
-        static: its rows without a time.
-        timed: (times, rows) on each timeline, by its name; times rise.
-    """
-
-    static: Cells = field(default_factory=list)
+    static: Cells = field(default_factory=list)  # its rows without a time
+    # (times, rows) on each timeline, by its name; times rise
     timed: dict[str, tuple[NDArray[np.int64], Cells]] = field(default_factory=dict)
 
     def at(self, timeline: str, time: int) -> list[Any]:
@@ -63,23 +64,14 @@ class Component:
 
 @dataclass(frozen=True)
 class View:
-    """One view of a blueprint.
+    """One view of a blueprint."""
 
-    Attributes:
-        kind: its class, "2D", "TimeSeries", ...
-        name: its title.
-        tabs: names of the containers that it is in, outermost first.
-        entities: whose data it shows.
-        shown: (first, last) time that a plot shows; None for all.
-        span: (low, high) that a plot shows; None for all.
-    """
-
-    kind: str
-    name: str
-    tabs: tuple[str, ...]
-    entities: tuple[str, ...]
-    shown: tuple[int, int] | None = None
-    span: tuple[float, float] | None = None
+    kind: str  # its class, "2D", "TimeSeries", ...
+    name: str  # its title
+    tabs: tuple[str, ...]  # names of the containers that it is in, outermost first
+    entities: tuple[str, ...]  # whose data it shows
+    shown: tuple[int, int] | None = None  # first and last time that a plot shows; None for all
+    span: tuple[float, float] | None = None  # low and high that a plot shows; None for all
 
 
 class Stored:
@@ -126,6 +118,13 @@ class Stored:
                 for timeline, (times, _) in component.timed.items():
                     found.setdefault(timeline, []).append(times)
         return {name: np.unique(np.concatenate(times)) for name, times in found.items()}
+
+    def series(
+        self, entity: str, component: str = "Scalars:scalars"
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Times [s] of an entity on the log's time, and the values of one component."""
+        times_ns, cells = self.entities[entity][component].timed["log_time_s"]
+        return times_ns * 1e-9, np.array([cell.as_py() for cell in cells], np.float64)
 
     def stops(self, view: View) -> Iterator[tuple[str, int]]:
         """First, middle and last time of each timeline that a view's tab is for."""
@@ -203,6 +202,37 @@ class Stored:
         return shown, span  # pyright: ignore[reportReturnType]
 
 
+def empty_views(path: Path) -> list[str]:
+    """Views that show nothing, with where that is."""
+    review = Stored(path)
+    return [
+        f"{view.name!r} at {timeline} {time}"
+        for view in review.views
+        for timeline, time in review.stops(view) or [("", 0)]
+        if not review.has_data(view, timeline, time)
+    ]
+
+
+def review_of(tuning: Tuning, folder: Path, verdict: str | None = None) -> Path:
+    assert verdict in (None, tuning.verdict), tuning.reason
+    write_review(tuning, record_of(tuning), folder / "a.rrd")
+    return folder / "a.rrd"
+
+
+def reviewed(tuning: Tuning, folder: Path) -> Stored:
+    """A review that Rerun itself finds whole, and in which no view is empty."""
+    path = review_of(tuning, folder)
+    verified(path)
+    assert empty_views(path) == []
+    return Stored(path)
+
+
 def _uuid(numbers: list[int]) -> str:
     text = bytes(numbers).hex()
     return "-".join((text[:8], text[8:12], text[12:16], text[16:20], text[20:]))
+
+
+def verified(path: Path) -> None:
+    words = [BIN / "rerun", "rrd", "verify", path]
+    result = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 0, result.stderr

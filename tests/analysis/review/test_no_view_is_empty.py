@@ -12,26 +12,20 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from tests.analysis.campaign import campaigns
-from tests.analysis.drop.test_impact_times import episode_of, impacts
+from tests.analysis.drop.made import episode_of, impacts
 from tests.analysis.payload.test_payload import record as record_payload
-from tests.analysis.review.stored import Stored
+from tests.analysis.review.stored import Stored, empty_views, review_of
 from tests.conftest import ROOT, film, real, record
 from tunenet_logs.analysis.cli.plan import main as plan_main
 from tunenet_logs.analysis.cli.review import main as review_main
-from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.analysis.review.tuning import write_overview, write_review
+from tunenet_logs.analysis.review.tuning import write_overview
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.recorders.simulated import PayloadOrder, simulate_payload
 
 SAMPLES, PLAIN = ROOT / "sample_logs", TuneOptions()
 Make = Callable[[Path], Path]  # writes a review into a folder; its path
-
-
-def review_of(tuning: Tuning, folder: Path, verdict: str | None = None) -> Path:
-    assert verdict in (None, tuning.verdict), tuning.reason
-    write_review(tuning, record_of(tuning), folder / "a.rrd")
-    return folder / "a.rrd"
 
 
 def tuned(name: str, verdict: str | None, tune: Callable[[Path], Tuning]) -> Make:
@@ -163,17 +157,6 @@ MAKERS: tuple[Make, ...] = (
 )  # fmt: skip
 
 
-def empty_views(path: Path) -> list[str]:
-    """Views that show nothing, with where that is."""
-    review = Stored(path)
-    return [
-        f"{view.name!r} at {timeline} {time}"
-        for view in review.views
-        for timeline, time in review.stops(view) or [("", 0)]
-        if not review.has_data(view, timeline, time)
-    ]
-
-
 @pytest.mark.parametrize("make", MAKERS, ids=lambda make: make.__name__)
 def test_every_view_has_data_at_every_stop(make: Make, tmp_path: Path):
     path = make(tmp_path)
@@ -181,56 +164,37 @@ def test_every_view_has_data_at_every_stop(make: Make, tmp_path: Path):
     assert empty_views(path) == []
 
 
-def written(path: Path, view: Any, log: Callable[[rr.RecordingStream], None]) -> Path:
-    """A small recording of two times, with one view."""
-    stream = rr.RecordingStream("tunenet test of empty views")
-    memory = stream.memory_recording()
-    log(stream)
-    stream.send_columns(
-        "other",
-        indexes=[rr.TimeColumn("t", sequence=[1, 9])],
-        columns=rr.TextDocument.columns(text=["a", "b"]),
-    )
-    stream.send_blueprint(rrb.Blueprint(rrb.Tabs(rrb.Vertical(view, name="tab")), auto_views=False))
-    stream.flush()
-    path.write_bytes(memory.drain_as_bytes())
-    return path
-
-
-def timed(entity: str, times: list[int], columns: Any) -> Callable[[rr.RecordingStream], None]:
-    indexes = [rr.TimeColumn("t", sequence=times)]
-    return lambda stream: stream.send_columns(entity, indexes=indexes, columns=columns)
-
-
 POINTS = rr.Points2D.columns(positions=[[0, 0]])
 PICTURE = rr.EncodedImage.columns(blob=[b"\xff\xd8"], media_type=["image/jpeg"])
-VALUES = rr.Scalars.columns(scalars=[5.0, 6.0])
+VALUES = rr.Scalars.columns(scalars=[5.0])
 LOW = rrb.ScalarAxis(range=(0.0, 1.0))
 
 
 @pytest.mark.parametrize(
-    ("view", "log", "empty_at"),
+    ("view", "entity", "time", "columns", "empty_at"),
     [
-        (rrb.Spatial2DView(origin="/a"), timed("a/dots", [1], POINTS), []),
-        (rrb.Spatial2DView(origin="/a"), timed("a/dots", [9], POINTS), [1]),
-        (rrb.Spatial2DView(origin="/b"), timed("a/dots", [1], POINTS), [1, 9]),
-        (rrb.Spatial2DView(origin="/a"), timed("a/grid", [1], POINTS), [1, 9]),
-        (rrb.Spatial2DView(origin="/a"), timed("a/dots", [1, 9], POINTS.partition([1, 0])), [9]),
-        (rrb.Spatial2DView(contents=["/a/**", "- /a/dots"]), timed("a/dots", [1], POINTS), [1, 9]),
-        (rrb.TimeSeriesView(origin="/a"), timed("a", [1, 9], VALUES), []),
-        (rrb.TimeSeriesView(origin="/a", axis_y=LOW), timed("a", [1, 9], VALUES), [1, 9]),
-        (rrb.TextDocumentView(origin="/a"), timed("b", [1, 9], VALUES), [1, 9]),
+        (rrb.Spatial2DView(origin="/a"), "a/dots", 1, POINTS, []),
+        (rrb.Spatial2DView(origin="/a"), "a/dots", 9, POINTS, [1]),
+        (rrb.Spatial2DView(origin="/b"), "a/dots", 1, POINTS, [1, 9]),
+        (rrb.Spatial2DView(origin="/a"), "a/grid", 1, POINTS, [1, 9]),
+        (rrb.Spatial2DView(contents=["/a/**", "- /a/dots"]), "a/dots", 1, POINTS, [1, 9]),
+        (rrb.Spatial2DView(origin="/c"), "c/picture", 9, PICTURE, [1]),  # beside a path
+        (rrb.TimeSeriesView(origin="/a"), "a", 1, VALUES, []),
+        (rrb.TimeSeriesView(origin="/a", axis_y=LOW), "a", 1, VALUES, [1, 9]),
+        (rrb.TextDocumentView(origin="/a"), "b", 1, VALUES, [1, 9]),
     ],
 )
-def test_the_law_finds_what_is_empty(tmp_path: Path, view: Any, log: Any, empty_at: list[int]):
-    found = empty_views(written(tmp_path / "a.rrd", view, log))
+def test_the_law_finds_what_is_empty(
+    tmp_path: Path, view: Any, entity: str, time: int, columns: Any, empty_at: list[int]
+):
+    stream = rr.RecordingStream("tunenet test of empty views")
+    memory = stream.memory_recording()
+    stream.log("c/path", rr.Points2D([[0, 0]]), static=True)
+    stream.send_columns(entity, [rr.TimeColumn("t", sequence=[time])], columns)
+    notes = rr.TextDocument.columns(text=["a", "b"])
+    stream.send_columns("other", [rr.TimeColumn("t", sequence=[1, 9])], notes)
+    stream.send_blueprint(rrb.Blueprint(rrb.Tabs(rrb.Vertical(view, name="tab")), auto_views=False))
+    stream.flush()
+    (tmp_path / "a.rrd").write_bytes(memory.drain_as_bytes())
+    found = empty_views(tmp_path / "a.rrd")
     assert [int(one.split()[-1]) for one in found] == empty_at
-
-
-def test_a_view_of_pictures_needs_one_at_every_stop(tmp_path: Path):
-    def log(stream: rr.RecordingStream) -> None:
-        stream.log("a/path", rr.Points2D([[0, 0]]), static=True)
-        timed("a/picture", [9], PICTURE)(stream)
-
-    view = rrb.Spatial2DView(origin="/a")
-    assert empty_views(written(tmp_path / "a.rrd", view, log)) == ["'' at t 1"]

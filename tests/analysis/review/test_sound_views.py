@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.analysis.review.stored import Stored
-from tests.analysis.review.test_no_view_is_empty import empty_views, review_of
+from tests.analysis.review.stored import Stored, empty_views, review_of
 from tests.conftest import ROOT, film, record
 from tunenet_logs.analysis.drop.review.views import envelope
 from tunenet_logs.analysis.evaluation.studies.audio import (

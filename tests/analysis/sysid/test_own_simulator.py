@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Mapping
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +17,7 @@ import numpy as np
 import pytest
 
 import tunenet_logs as tn
-from tests.analysis.sysid.pendulums import DAMPING, MODEL, START_NS, swing
+from tests.analysis.sysid.pendulums import DAMPING, MODEL, START_NS, pendulum_episode, swing
 from tests.conftest import ROOT, Command
 from tests.same_log import assert_same_log
 from tunenet_logs.analysis.evaluation.worlds.machines import (
@@ -23,12 +29,14 @@ from tunenet_logs.analysis.evaluation.worlds.machines import (
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.sysid.source import listed_parameters
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.recorders.simulators.arm.description import jaco
 from tunenet_logs.recorders.simulators.arm.path import circle
 from tunenet_logs.recorders.simulators.arm.payload import PayloadSimulator
 from tunenet_logs.recorders.simulators.ball import DropRig, DropSimulator
 from tunenet_logs.recorders.simulators.base import Parameter
+from tunenet_logs.recorders.simulators.model.reading import ModelProcess, read_model
+from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 MODELS = ROOT / "sample_logs" / "models"
 PENDULUM, ARM, BLOCK = MACHINES
@@ -72,9 +80,10 @@ def test_the_samples_are_as_they_are_made(tmp_path: Path):
             assert path.read_bytes() == (MODELS / path.name).read_bytes(), path.name
 
 
-@pytest.mark.parametrize("seed", [1_000_001, pytest.param(1_000_003, marks=pytest.mark.slow)])
-def test_efforts_that_jump_with_each_command_trap_no_delay(seed: int, tmp_path: Path):
-    log = ARM.log(seed, 2.0)  # where a fit to all columns alike, or by slopes alone, ends too late
+def test_efforts_that_jump_with_each_command_trap_no_delay(tmp_path: Path):
+    log = ARM.log(
+        1_000_001, 2.0
+    )  # where a fit to all columns alike, or by slopes alone, ends too late
     tuning = tuned(log, tmp_path)
     assert tuning.trace is not None
     assert tuning.verdict == "ok"
@@ -221,17 +230,6 @@ def test_a_search_finds_what_the_fit_finds(method: str):
     assert tuning.rollouts <= rollouts + 1
 
 
-def test_brent_looks_where_the_user_does():
-    class Stiff(Spring):
-        parameters = Spring.parameters[:1]
-
-        def rollout(self, values: Mapping[str, float]) -> Episode:
-            return super().rollout({**TRUTH, **values})
-
-    tuning = tn.tune(spring_log(), simulator=Stiff(), method="brent", iterations=60)
-    assert abs(tuning.to_frame().value["stiffness"] - TRUTH["stiffness"]) < 0.2
-
-
 def test_a_simulator_that_shows_nothing_of_the_log_says_so():
     log = Episode(
         EpisodeInfo(), {"/else": Signal("/else", np.arange(9), np.ones((9, 1)), ("x",), "m")}
@@ -319,3 +317,132 @@ def test_what_is_no_file_is_one_line(tmp_path: Path, name: str):
     (tmp_path / "folder.yaml").mkdir()
     with pytest.raises(UsageError, match="cannot be read"):
         listed_parameters([str(tmp_path / name)])
+
+
+# ---- Models of strangers that compile and hurt when they move: each ends in one line.
+
+BOB = """<body name="bob"><joint name="hinge" axis="0 -1 0" damping="0.05"/>
+<inertial pos="0 0 -0.4" mass="1" diaginertia=".005 .005 .005"/></body>"""
+FLOOR = '<geom type="plane" size="5 5 .1" pos="0 0 -3"/>'
+BOX = '<body pos="{x} 0 {z}"><freejoint/><geom type="box" size=".2 .2 .2" mass="1"/></body>'
+LANDS = FLOOR + BOX.format(x=0, z=-2.79)  # 1 cm above the floor: the first steps are free of it
+HEAP = FLOOR + "".join(BOX.format(x=n / 2, z=-2.7) for n in range(20))
+ENDLESS = 'solver="PGS" iterations="2000000000" tolerance="0"'
+STIFF = (
+    '<body pos="0 0 -2"><joint type="slide" stiffness="1e12"/><geom size=".1" mass=".001"/></body>'
+)
+
+
+def stranger(folder: Path, world: str = "", option: str = "", memory: str = "") -> Path:
+    size = f'<size memory="{memory}"/>' if memory else ""
+    path = folder / "stranger.xml"
+    path.write_text(
+        f'<mujoco>{size}<option timestep="0.004" integrator="implicitfast" {option}/>'
+        f"<worldbody>{BOB}{world}</worldbody></mujoco>"
+    )
+    return path
+
+
+def tuned_stranger(folder: Path, *parts: str, **more: str) -> Tuning:
+    path = stranger(folder, *parts, **more)
+    return tn.tune(pendulum_episode(), model=path, parameters=["joint/hinge.damping=0:.2"])
+
+
+def run(path: Path, steps: int, controls: np.ndarray | None = None, **more: Any):
+    """One rollout of a model as it is."""
+    compiled = read_model(path).compile()
+    wishes: dict[str, Any] = {
+        "rows": [([], compiled.qpos0, np.zeros(compiled.nv), 0)],
+        "controls": [np.zeros((steps, 0)) if controls is None else controls],
+        "columns": np.zeros(0, np.intp),
+        "steps": steps,
+        "step_s": compiled.opt.timestep,
+        "is_late": True,
+        "wants_qpos": True,
+    }
+    return ModelProcess(path).run(compiled, **{**wishes, **more})
+
+
+@pytest.mark.parametrize("memory", ["100K", "120K", "140K"])
+def test_a_model_that_leaves_contacts_out_is_refused(tmp_path: Path, memory: str):
+    """Where its memory runs full MuJoCo drops contacts, or gives up; with enough it is well."""
+    found = tuned_stranger(tmp_path, HEAP, memory=memory)
+    assert found.verdict == "rejected"
+    assert "stranger.xml: its working memory is full after 0." in (found.reason or "")
+    assert 'give it more, such as <size memory="10M"/>' in (found.reason or "")
+
+
+def test_a_full_memory_is_told_at_its_step_however_long_pieces_are(tmp_path: Path):
+    """A rollout is made in pieces; where MuJoCo gives up in the middle of one is no chance."""
+    places = {
+        run(stranger(tmp_path, HEAP, memory="140K"), steps)[0][0] for steps in (100, 301, 999)
+    }
+    assert len(places) == 1
+
+
+def test_a_model_that_does_not_end_well_is_not_ok(tmp_path: Path):
+    found = tuned_stranger(tmp_path, STIFF)
+    assert found.verdict == "rejected"
+    (check,) = (one for one in found.checks if one.name == "simulation is whole")
+    assert "moves beyond all bounds after 0." in check.detail
+
+
+def test_pieces_are_one_rollout(tmp_path: Path):
+    """With contacts and warm starts, to the bit: as MuJoCo makes it in one go."""
+    library, path = mujoco(), stranger(tmp_path, LANDS)
+    (kept,), (why,), arrays = run(path, 700)
+    assert (kept, why) == (700, "")
+    compiled = read_model(path).compile()
+    data, kind = library.MjData(compiled), library.mjtState.mjSTATE_FULLPHYSICS
+    library.mj_forward(compiled, data)
+    data.qvel[:] -= data.qacc * compiled.opt.timestep / 2
+    state = np.zeros(library.mj_stateSize(compiled, kind))
+    library.mj_getState(compiled, data, state, kind)
+    whole = import_module("mujoco.rollout")
+    states, _ = whole.rollout(compiled, library.MjData(compiled), state[None], nstep=700)
+    np.testing.assert_array_equal(arrays["qpos"][0, 1:], states[0, :, 1 : 1 + compiled.nq])
+
+
+def test_what_takes_too_long_is_foreseen(tmp_path: Path):
+    """Steps that are done in time, and of which there are too many."""
+    slow = 'solver="PGS" iterations="100000" tolerance="0"'
+    with pytest.raises(LogError, match=r"one rollout would take MuJoCo \d+ s for 300000 steps"):
+        run(stranger(tmp_path, LANDS, slow), 300_000, judged_s=0.1)
+
+
+def worked_s(pid: int) -> float:
+    """CPU time of a process."""
+    words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc tells what the process does")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_step_without_end_hears_signals(tmp_path: Path, number: int):
+    words = [
+        sys.executable,
+        "-c",
+        "from tunenet_logs.commands import tune; raise SystemExit(tune())",
+    ]
+    words += [str(MODELS / "pendulum.mcap"), "--model", str(stranger(tmp_path, LANDS, ENDLESS))]
+    words += ["--tune", "joint/hinge.damping=0:.2", "-o", str(tmp_path / "out")]
+    process = subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    found: list[int] = []
+    while process.poll() is None:  # its own start, the model's compiling, and then the step
+        found = [int(one) for one in children.read_text().split()]
+        if found and worked_s(found[0]) > 2:
+            break
+        time.sleep(0.02)
+    process.send_signal(number)
+    _, said = process.communicate()
+    assert process.returncode == 128 + number
+    assert said.count("\n") == 1
+    assert not Path(f"/proc/{found[0]}").exists()
+
+
+@pytest.mark.slow
+def test_a_step_without_end_is_ended(tmp_path: Path):
+    found = tuned_stranger(tmp_path, LANDS, ENDLESS)
+    assert found.verdict == "rejected"
+    assert "takes MuJoCo over 5 s at once" in (found.reason or "")

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.analysis.drop.test_review import verified
-from tests.analysis.review.stored import Stored
-from tests.analysis.review.test_no_view_is_empty import empty_views
-from tests.analysis.sysid.pendulums import MODEL, START_NS, model_source, pendulum_episode, swing
-from tunenet_logs.analysis.experiment import Tuning, record_of
+from tests.analysis.review.stored import Stored, reviewed
+from tests.analysis.sysid.pendulums import START_NS, model_source, pendulum_episode, swing
+from tests.analysis.sysid.test_own_simulator import TRUTH, Spring
+from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.analysis.review.tuning import write_review
 from tunenet_logs.analysis.sysid.review import simulator_review_data
 from tunenet_logs.analysis.sysid.source import GivenSimulator, ModelSource
 from tunenet_logs.analysis.tuning import tune_episode
@@ -23,44 +21,32 @@ from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.recorders.simulators.base import Parameter
 
 
-@dataclass(frozen=True)
-class Spring:
-    """A cart on a spring in closed form, seen in some columns; a soft one breaks after a time."""
+class Cart(Spring):
+    """Seen in some columns; a soft spring, as the first guess is, breaks after a time."""
 
-    columns: int = 1
-    breaks_s: float = 6.0
-    engine = "spring"
-    step_hz = 1000.0
     parameters = (
         Parameter("stiffness", "N/m", (0.0, 100.0), (0.0, 100.0), 30.0),
         Parameter("damping", "N·s/m", (0.0, 5.0), (0.0, 5.0), 2.0),
     )
 
+    def __init__(self, columns: int = 1, breaks_s: float = 6.0) -> None:
+        self.columns, self.breaks_s = columns, breaks_s
+
     def rollout(self, values: Mapping[str, float]) -> Episode:
-        seconds = np.arange(0.0, 6.0, 0.02)
-        decay, stiffness = values["damping"] / 2, values["stiffness"]
-        turns = np.sqrt(max(stiffness - decay**2, 1e-6))
-        x = np.exp(-decay * seconds) * np.cos(turns * seconds)
-        scaled = x[:, None] * np.arange(1, self.columns + 1)
-        scaled[seconds > (6.0 if stiffness > 40 else self.breaks_s)] = np.nan
+        whole = super().rollout({**TRUTH, **values, "stiffness": max(values["stiffness"], 20.0)})
+        cart = whole.signals["/cart"]
+        seen = cart.values[:, :1] * np.arange(1, self.columns + 1)
+        if values["stiffness"] < 35:
+            seen[cart.seconds > self.breaks_s] = np.nan
         names = tuple(f"x{number}" for number in range(self.columns))
-        stamps = (START_NS + seconds * 1e9).astype(np.int64)
-        signal = Signal("/cart/place", stamps, scaled, names, "m")
-        return Episode(EpisodeInfo(truth=dict(values)), {signal.name: signal})
+        return replace(whole, signals={"/cart": replace(cart, values=seen, columns=names)})
 
-    def recorded(self) -> Episode:
-        rolled = self.rollout({"stiffness": 47.0, "damping": 0.6})
-        signal = rolled.signals["/cart/place"]
-        noise = 0.01 * np.random.default_rng(0).standard_normal(signal.values.shape)
-        return Episode(EpisodeInfo(), {signal.name: replace(signal, values=signal.values + noise)})
-
-
-def reviewed(tuning: Tuning, folder: Path) -> Stored:
-    path = folder / "a.rrd"
-    write_review(tuning, record_of(tuning), path)
-    verified(path)
-    assert empty_views(path) == []
-    return Stored(path)
+    def tuned(self) -> Tuning:
+        """To a log of it with noise."""
+        truth = self.rollout(TRUTH).signals["/cart"]
+        noise = 0.01 * np.random.default_rng(0).standard_normal(truth.values.shape)
+        log = Episode(EpisodeInfo(), {"/cart": replace(truth, values=truth.values + noise)})
+        return tune_episode(log, TuneOptions(source=GivenSimulator(self)))
 
 
 def kinds(review: Stored) -> list[str]:
@@ -80,9 +66,13 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> Tuning:
     return tune_episode(pendulum_episode(), TuneOptions(source=source))
 
 
-def test_a_model_that_was_fitted(tuned: Tuning, tmp_path: Path):
+@pytest.fixture(scope="module")
+def review(tuned: Tuning, tmp_path_factory: pytest.TempPathFactory) -> Stored:
+    return reviewed(tuned, tmp_path_factory.mktemp("review"))
+
+
+def test_a_model_that_was_fitted(tuned: Tuning, review: Stored):
     assert tuned.verdict == "ok", tuned.reason
-    review = reviewed(tuned, tmp_path)
     assert tabs(review) == ["overlay", "residuals", "scrub", "held-out prediction"]
     assert kinds(review).count("3D") == 1
     scene = {name for name in review.entities if name.startswith("/scene/")}
@@ -93,14 +83,11 @@ def test_a_model_that_was_fitted(tuned: Tuning, tmp_path: Path):
 
 
 @pytest.mark.parametrize("name", ["observed", "simulated"])
-def test_the_model_swings_as_the_pendulum_did(tuned: Tuning, tmp_path: Path, name: str):
-    review = reviewed(tuned, tmp_path)
-    body = review.entities[f"/scene/{name}/body_1"]
-    times, cells = body["Transform3D:mat3x3"].timed["log_time_s"]
-    turned = np.array([cell.as_py() for cell in cells]).reshape(-1, 3, 3).swapaxes(1, 2)
+def test_the_model_swings_as_the_pendulum_did(review: Stored, name: str):
+    seconds, cells = review.series(f"/scene/{name}/body_1", "Transform3D:mat3x3")
+    turned = cells.reshape(-1, 3, 3).swapaxes(1, 2)
     # About -y: the bob hangs along -z, and swings towards +x by the angle.
     angles = np.arctan2(-turned[:, 0, 2], turned[:, 2, 2])
-    seconds = times.astype(np.float64) * 1e-9
     known = seconds <= 3.99
     assert known.sum() > 100
     assert np.abs(angles[known] - swing(seconds[known])[:, 0]).max() < 0.06
@@ -134,30 +121,23 @@ def test_a_method_without_a_fit_has_no_prediction(tmp_path: Path):
 
 
 def test_an_object_has_no_scene(tmp_path: Path):
-    simulator = Spring()
-    options = TuneOptions(source=GivenSimulator(simulator))
-    review = reviewed(tune_episode(simulator.recorded(), options), tmp_path)
+    review = reviewed(Cart().tuned(), tmp_path)
     assert tabs(review) == ["overlay", "residuals", "scrub", "held-out prediction"]
     assert "3D" not in kinds(review)
 
 
 def test_many_columns_have_a_tab_of_their_own_and_a_bound(tmp_path: Path):
-    simulator = Spring(columns=19)
-    options = TuneOptions(source=GivenSimulator(simulator))
-    tuning = tune_episode(simulator.recorded(), options)
+    tuning = Cart(columns=19).tuned()
     data = simulator_review_data(tuning)
     assert (len(data.main), len(data.columns), data.left_out) == (4, 16, 3)
     varying = [one.observed.std() / one.noise for one in data.columns]
     assert varying == sorted(varying, reverse=True)
-    review = reviewed(tuning, tmp_path)
-    assert tabs(review)[1] == "other signals, 3 more are not drawn"
+    assert tabs(reviewed(tuning, tmp_path))[1] == "other signals, 3 more are not drawn"
 
 
 @pytest.mark.parametrize("breaks_s", [3.0, -1.0])
 def test_guesses_that_diverge(tmp_path: Path, breaks_s: float):
-    simulator = Spring(breaks_s=breaks_s)
-    options = TuneOptions(source=GivenSimulator(simulator))
-    reviewed(tune_episode(simulator.recorded(), options), tmp_path)
+    reviewed(Cart(breaks_s=breaks_s).tuned(), tmp_path)
 
 
 BALL = """
@@ -195,21 +175,6 @@ def test_a_free_body_is_where_it_was_seen(tmp_path: Path):
     title, entities = scene_of(tuning, tmp_path)
     assert title == "white: as observed, the rest as simulated; warm: the tuned model"
     assert {"/scene/points/0", "/scene/observed/body_1/ellipsoid"} <= entities
-
-
-def test_a_point_of_a_robot_is_a_dot(tmp_path: Path):
-    tip, key = '<body name="tip" pos="0 0 -.4"/>', '<keyframe><key qpos="1.4"/></keyframe>'
-    text = MODEL.format(floor="", shapes=tip).replace("</mujoco>", f"{key}</mujoco>")
-    (tmp_path / "pendulum.xml").write_text(text)
-    source = ModelSource(tmp_path / "pendulum.xml", ("joint/hinge.damping=0:.2",))
-    seconds = np.arange(0.0, 4.0, 0.01)
-    angles = swing(seconds)[:, 0]
-    places = 0.4 * np.column_stack([np.sin(angles), 0 * angles, -np.cos(angles)])
-    tuning = tune_episode(places_of("tip", places, seconds), TuneOptions(source=source))
-    title, entities = scene_of(tuning, tmp_path)
-    assert title == "the tuned model, dots: as observed"
-    assert "/scene/points/0" in entities
-    assert not any(one.startswith("/scene/observed") for one in entities)
 
 
 def test_a_log_that_shows_nothing_of_it_has_no_curves_to_compare(tmp_path: Path):

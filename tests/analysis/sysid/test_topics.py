@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tunenet_logs.analysis.sysid.fit import compared
 from tunenet_logs.analysis.sysid.matching import Match
 from tunenet_logs.analysis.sysid.source import initial_state
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import NotFoundError, UsageError
-from tunenet_logs.recorders.simulators.model.reading import ModelProcess
-from tunenet_logs.recorders.simulators.model.rollout import ModelSimulator
 from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 PARTS = """<worldbody>
@@ -132,13 +128,6 @@ def test_a_command_goes_to_the_actuator_that_takes_its_quantity(quantity: str, e
     assert [one[2] for one in driven(found)] == [expected]
 
 
-def test_a_servo_that_integrates_takes_speeds():
-    more = '<actuator><intvelocity name="i" joint="elbow" kp="3" actrange="-1 1"/></actuator>'
-    model = model_of(more=more)
-    assert not match(STATES, signal("/cmd.position"), model=model).drives
-    assert match(STATES, signal("/cmd.velocity", unit="rad/s"), model=model).drives
-
-
 def test_plain_numbers_command_by_order():
     three = signal("/controller/commands", ("0", "1", "2"), "1", drives=True)
     assert driven(match(STATES, three)) == [("/controller/commands", [0, 1, 2], [0, 1, 2], False)]
@@ -172,18 +161,6 @@ def test_one_actuator_has_one_commander():
     assert "another signal commands" in found.unused[0]
     again = match(STATES, signal("/cmd.position"), signal("/target.position"), told={"/cmd": "-"})
     assert [one[0] for one in driven(again)] == ["/target.position"]
-
-
-def test_an_actuator_of_a_tendon_is_no_joints():
-    more = """<tendon><fixed name="t"><joint joint="elbow" coef="1"/></fixed></tendon>
-      <actuator><motor name="pull" tendon="t"/></actuator>"""
-    found = match(
-        STATES,
-        signal("/effort_commands.effort", ("pull",), drives=True),
-        signal("/joint_states.effort", unit="N·m"),
-        model=model_of(more=more),
-    )
-    assert driven(found)[1] == ("/joint_states.effort", [0, 1], [0, 1], True)
 
 
 @pytest.mark.parametrize("name", ["/block.1/pose", "/tf.block.1", "/Block_1", "/x/block.1"])
@@ -340,22 +317,3 @@ def test_a_thousand_columns():
     assert sensed(found) == {"/joint_states.position": ["elbow=jointpos elbow"]}
     assert driven(found) == [("/cmd.position", [999], [1], False)]
     assert max(map(len, found.unused)) < 200
-
-
-def test_stamps_in_bursts_are_simulated():
-    stamps_ns = np.unique(START_NS + STEP_NS * 20 * np.arange(5)[:, None] + np.arange(10))
-    values = 0.1 * np.sin((stamps_ns - START_NS) * 1e-9)[:, None]
-    bursts = Signal("/joint_states.position", stamps_ns, values, ("elbow",), "rad")
-    log = Episode(EpisodeInfo(), {bursts.name: bursts})
-    model = model_of()
-    found = Match(log, model, {})
-    state = initial_state(model, found.sensed, START_NS)
-    spec = mujoco().MjSpec.from_string(f"<mujoco>{PARTS}{SERVOS}</mujoco>")
-    end_ns = int(stamps_ns[-1])
-    process = ModelProcess(Path("bursts.xml"))
-    simulator = ModelSimulator(
-        spec, (), tuple(found.sensed), tuple(found.drives), state, end_ns, process=process
-    )
-    target = compared(log, simulator.rollout({}))
-    assert len(target.values) == 50
-    assert np.isfinite(target.seen_in(simulator.rollout({}))).all()

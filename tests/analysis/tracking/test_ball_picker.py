@@ -9,34 +9,30 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import quote
 
 import cv2
 import numpy as np
 import pytest
 
+from tests import conftest
+from tests.analysis.films import film_of
 from tests.conftest import BIN, Command
 from tests.pages import Page, assert_for_this_machine_alone
-from tests.recorders.test_video_file import write_video
+from tests.recorders.films import write_video
 from tunenet_logs.analysis.tracking import picker as thumbnails
 from tunenet_logs.analysis.tracking.frames import Pictures
 from tunenet_logs.analysis.tracking.picker import Album, Marking, album_of
-from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
+from tunenet_logs.episode import Frame
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.session import record_episode
-from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop
 from tunenet_logs.terminal import Progress
 
 
 def picture(width: int = 64, height: int = 48, quality: int = 90) -> bytes:
     pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
     return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
-
-
-def episode_of(frames: list[Frame]) -> Episode:
-    stamps = [frame.stamp_ns for frame in frames]
-    channel = Channel("/eye", "", "", np.array(stamps), pictures=True)
-    return Episode(EpisodeInfo(), {}, (channel,), open_frames=lambda _topic: iter(frames))
 
 
 BALL_PX, BALL_PICTURE = (159.5, 119.0), 21  # where the ball of `film` is in flight
@@ -67,11 +63,8 @@ def tuning(log: Path, *words: str) -> Iterator[tuple[MarkingPage, subprocess.Pop
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("film") / "film.mcap"
-    order = DropOrder(restitution=0.6, height_m=1.0, seconds=1.35, seed=3)
-    quiet = Progress(quiet=True)
-    record_episode(film_drop(order, FilmOrder()), path, overwrite=False, progress=quiet)
-    return path
+    order = {"restitution": 0.6, "height_m": 1.0, "seconds": 1.35, "seed": 3}
+    return conftest.film(tmp_path_factory.mktemp("film") / "film.mcap", **order)
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +89,7 @@ def still(film: Path, tmp_path: Path) -> Path:
     data = cv2.imencode(".jpg", empty[:, :, ::-1])[1].tobytes()
     before = [Frame(number * 10**7, "jpeg", data) for number in range(20)]
     after = [replace(frame, stamp_ns=frame.stamp_ns + 10**9) for frame in frames]
-    late = replace(episode_of([*before, *after]), info=EpisodeInfo(kind="drop"))
-    path = tmp_path / "still.mcap"
+    late, path = film_of([*before, *after]), tmp_path / "still.mcap"
     record_episode(late, path, overwrite=False, progress=Progress(quiet=True))
     return path
 
@@ -182,8 +174,22 @@ def test_a_page_that_is_loaded_again_is_not_closed(
     assert seen == [False]
 
 
-def test_a_click_is_a_place_and_a_time(page: tuple[MarkingPage, Marking], whole: Album):
+NO_MARKS = (
+    "", "x", "[]", "{}", '{"x": 1, "y": 1}', '{"x": 1, "y": 1, "picture": 81}',
+    '{"x": 1, "y": 1, "picture": -1}', '{"x": 1, "y": 1, "picture": 1.5}',
+    '{"x": 1, "y": 1, "picture": null}', '{"x": NaN, "y": 1, "picture": 1}',
+    '{"x": -1, "y": 1, "picture": 1}', '{"x": 320, "y": 1, "picture": 1}',
+    '{"x": 1, "y": 240, "picture": 1}', '{"x": 1e400, "y": 1, "picture": 1}',
+    "[" * 1000, '{"x": 1, "y": 1, "picture": 1}' + " " * 1000, "[" * 60_000,
+)  # fmt: skip
+
+
+def test_a_click_is_a_place_and_a_time_and_anything_else_is_refused(
+    page: tuple[MarkingPage, Marking], whole: Album
+):
     asked, marking = page
+    for body in NO_MARKS:
+        assert asked.ask("POST", "/tune", body)[0] == 400, body[:50]
     assert asked.tune(100.25, 60, 30) == 204
     assert marking.wait() == (100.25, 60, whole.thumbnails[30].seconds)
     assert whole.thumbnails[30].seconds == pytest.approx(0.5)
@@ -191,26 +197,21 @@ def test_a_click_is_a_place_and_a_time(page: tuple[MarkingPage, Marking], whole:
     assert marking.wait() is None
 
 
-def test_pictures_are_the_recordings_own(page: tuple[MarkingPage, Marking], film: Path):
-    asked, _ = page
+NOWHERE = (
+    "/picture/81", "/picture/-1", "/picture/", "/picture/x", "/picture/1/..", "/7", "/../cli",
+    "/picture/99999999999999999999", "/picture/٣", "/nix",
+)  # fmt: skip
+
+
+def test_pictures_are_the_recordings_own_for_this_machine_alone_and_there_is_nothing_else(
+    page: tuple[MarkingPage, Marking], film: Path
+):
+    asked, marking = page
     frames = list(read_episode(film).frames())
     for number in (0, 7, 80):
         assert asked.ask("GET", f"/picture/{number}") == (200, frames[number].data)
-
-
-@pytest.mark.parametrize(
-    "path",
-    ["/picture/81", "/picture/-1", "/picture/", "/picture/x", "/picture/1/..", "/7", "/../cli",
-     "/picture/99999999999999999999", "/picture/٣", "/nix"],
-)  # fmt: skip
-def test_there_is_nothing_else_on_it(page: tuple[MarkingPage, Marking], path: str):
-    from urllib.parse import quote
-
-    assert page[0].ask("GET", quote(path))[0] == 404
-
-
-def test_it_is_for_this_machine_alone(page: tuple[MarkingPage, Marking]):
-    asked, marking = page
+    for path in NOWHERE:
+        assert asked.ask("GET", quote(path))[0] == 404
     port = asked.host.partition(":")[2]
     assert asked.ask("GET", "/album", Host=f"localhost:{port}")[0] == 200
     refused = (("GET", "/"), ("GET", "/picture/0"), ("POST", "/without"))
@@ -219,51 +220,11 @@ def test_it_is_for_this_machine_alone(page: tuple[MarkingPage, Marking]):
     assert marking.wait() == (1, 2, 0)  # nothing of the others' came before
 
 
-@pytest.mark.parametrize(
-    "body",
-    [
-        "", "x", "[]", "{}", '{"x": 1, "y": 1}', '{"x": 1, "y": 1, "picture": 81}',
-        '{"x": 1, "y": 1, "picture": -1}', '{"x": 1, "y": 1, "picture": 1.5}',
-        '{"x": 1, "y": 1, "picture": null}', '{"x": NaN, "y": 1, "picture": 1}',
-        '{"x": -1, "y": 1, "picture": 1}', '{"x": 320, "y": 1, "picture": 1}',
-        '{"x": 1, "y": 240, "picture": 1}', '{"x": 1e400, "y": 1, "picture": 1}',
-        "[" * 1000, '{"x": 1, "y": 1, "picture": 1}' + " " * 1000, "[" * 60_000,
-    ],
-)  # fmt: skip
-def test_a_mark_that_is_none_is_refused(page: tuple[MarkingPage, Marking], body: str):
-    asked, marking = page
-    assert asked.ask("POST", "/tune", body)[0] == 400
-    asked.tune(5, 6, 0)
-    assert marking.wait() == (5, 6, 0)
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("--ball-at", "1,2,3"), "--ball-at"),
-        (("--hsv", "0,0,0:9,9,9"), "--hsv"),
-        (("--topic", "/nix"), "/camera/image_raw/compressed"),
-        (("--start", "900"), "1.33 s long"),
-        (("film.mcap",), "one log"),
-        ((), "no pictures"),
-    ],
-)
-def test_what_does_not_go_with_it_is_one_line(
-    command: Command, film: Path, drop_log: Path, words: tuple[str, ...], says: str
-):
-    log = film if words else drop_log
-    result = command("tunenet-tune", log, *words, "--preview", cwd=log.parent)
-    assert result.returncode == 2
-    assert result.stderr.count("\n") == 1
-    assert says in result.stderr
-    assert not drop_log.with_suffix(".json").exists()
-
-
 def test_long_recordings_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch):
     data = picture()
     monkeypatch.setattr(thumbnails, "MAX_BYTES", 20 * len(data))
     frames = [Frame(10**9 + number * 10**7, "jpeg", data) for number in range(500)]
-    kept = album_of(episode_of(frames), "/eye")
+    kept = album_of(film_of(frames), "video")
     seconds = [thumbnail.seconds for thumbnail in kept.thumbnails]
     assert 10 <= len(seconds) <= 20
     assert seconds[0] == 0
@@ -279,13 +240,13 @@ def test_a_video_is_made_smaller_and_its_marks_are_not(tmp_path: Path):
     assert all(thumbnail.data.startswith(b"\xff\xd8") for thumbnail in kept.thumbnails)
     pixels = np.zeros((1000, 2000, 3), np.uint8)
     large = Frame(0, "rgb8", pixels.tobytes(), (2000, 1000))
-    kept = album_of(episode_of([large]), "/eye")
+    kept = album_of(film_of([large]), "video")
     assert kept.size_px == (2000, 1000)
     shown = cv2.imdecode(np.frombuffer(kept.thumbnails[0].data, np.uint8), cv2.IMREAD_COLOR)
     assert shown is not None
     assert shown.shape == (480, 960, 3)
     heavy = Frame(0, "jpeg", picture(1200, 900, quality=100))
-    (thumbnail,) = album_of(episode_of([heavy]), "/eye").thumbnails
+    (thumbnail,) = album_of(film_of([heavy]), "video").thumbnails
     assert len(thumbnail.data) < len(heavy.data)
 
 
@@ -301,9 +262,9 @@ def test_what_cannot_be_shown_is_left_out():
         Frame(4 * 10**9, "jpeg", whole[:30]),
         replace(good, stamp_ns=5 * 10**9),
     ]
-    kept = album_of(episode_of(frames), "/eye")
+    kept = album_of(film_of(frames), "video")
     assert [thumbnail.seconds for thumbnail in kept.thumbnails] == [1, 5]
-    kept = album_of(episode_of(frames), "/eye", start_s=0.5, end_s=4.5)
+    kept = album_of(film_of(frames), "video", start_s=0.5, end_s=4.5)
     assert [thumbnail.seconds for thumbnail in kept.thumbnails] == [1]
     with pytest.raises(UsageError, match="no picture"):
-        album_of(episode_of(frames[:1]), "/eye")
+        album_of(film_of(frames[:1]), "video")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +12,7 @@ import pytest
 from rerun.chunk import RrdReader
 from rosbags.rosbag2 import StoragePlugin
 
+from tests.analysis.answers import ends, value
 from tests.analysis.films import short_film
 from tests.conftest import Command, Made, real
 from tests.picture_strangers import (
@@ -31,7 +29,6 @@ from tests.picture_strangers import (
     write_pictures_folder,
     write_video_file,
 )
-from tests.tunenet_logs.test_images import with_size
 from tunenet_logs.analysis.experiment import Tuning, record_of
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.review.tuning import write_review
@@ -106,11 +103,7 @@ ROADS = ("log.mcap", "ros1.bag", "db3", "mcap")
 def is_the_same(one: Tuning, other: Tuning) -> None:
     """The same verdict, and a value within a fifth of the interval's half width."""
     assert other.verdict == one.verdict, (one.reason, other.reason)
-    assert one.estimate is not None
-    assert other.estimate is not None
-    assert one.interval95 is not None
-    half_width = float(np.ptp(one.interval95[0])) / 2
-    assert abs(other.estimate[0] - one.estimate[0]) < half_width / 5
+    assert abs(value(other) - value(one)) < np.ptp(ends(one)) / 10
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +132,7 @@ def tuned(made: Made):
 def test_a_clip_has_one_answer(tuned, command: Command, tmp_path: Path, clip: str, road: str):
     video, from_file = tuned(clip)
     assert from_file.verdict == "ok", from_file.reason
-    assert from_file.estimate[0] == pytest.approx(0.7, abs=0.01)
+    assert value(from_file) == pytest.approx(0.7, abs=0.01)
     is_the_same(from_file, tune_log(by_road(road, video, tmp_path, command), TuneOptions()))
 
 
@@ -181,12 +174,7 @@ def short(made: Made) -> Path:
 
 @pytest.fixture(scope="module")
 def reference(short: Path) -> float:
-    return restitution(tune_log(short, TuneOptions()))
-
-
-def restitution(tuning: Tuning) -> float:
-    assert tuning.estimate is not None, tuning.reason
-    return float(tuning.estimate[0])
+    return value(tune_log(short, TuneOptions()))
 
 
 # How far the restitution may be off that of the JPEGs that the pictures were made of.
@@ -205,7 +193,7 @@ def test_tunes_to_the_same_and_is_shown(short: Path, reference: float, tmp_path:
     """On the page on which the ball is marked, and in the review."""
     path = write_pictures(tmp_path / "a.mcap", messages_of(short, form), "/anything")
     tuning = tune_log(path, TuneOptions())
-    assert restitution(tuning) == pytest.approx(reference, abs=OFF[form])
+    assert value(tuning) == pytest.approx(reference, abs=OFF[form])
     assert tuning.verdict == "ok", tuning.reason
     assert [one for one in tuning.warnings if "checksum" not in one] == []
     album = album_of(read_episode(path), "/anything")
@@ -231,47 +219,3 @@ def pictures(log: Path) -> tuple[list[int], list[np.ndarray]]:
     """Stamps [ns] and RGB pictures, a second after 1970: 0 would mean that no stamp is set."""
     frames = list(read_episode(log).frames())
     return [10**9 + one.stamp_ns for one in frames], [one.decode() for one in frames]
-
-
-FORGED = {
-    "of a few kB": with_size(9000, 7000),
-    "of the most that is believed": with_size(6000, 6000, filler=70_000),
-    "beyond what a JPEG can be": with_size(65_000, 65_000, filler=70_000),
-}
-
-
-@pytest.mark.slow
-def test_forged_pictures_cost_no_memory(tmp_path: Path):
-    """Twelve that are believed would be over the limit, all in memory."""
-    logs = [tmp_path / f"{number}.mcap" for number in range(len(FORGED))]
-    noise = np.random.default_rng(0)  # behind each, that no log packs: their pixels are paid for
-    for log, data in zip(logs, FORGED.values(), strict=True):
-        tail = min(len(data) // 1000 * 1000, 70_000)
-        stamps = range(10**9, 10**9 + 12 * 10**7, 10**7)
-        made = [compressed(stamp_ns, "jpeg", data + noise.bytes(tail)) for stamp_ns in stamps]
-        write_pictures(log, made)
-    said, used = measured("tunenet_logs.cli", "info", *logs)
-    assert all(f"{log}: " in said for log in logs)
-    assert said.count("/eye") >= len(logs)
-    assert used < MAX_BYTES
-    said, used = measured("tunenet_logs.analysis.cli.tune", *logs, "--jobs", 1)
-    assert all(said.count(f"{log}: ") == 1 for log in logs)
-    assert said.count(" rejected ") == len(logs)
-    assert "no ball is seen" in (tmp_path / "1.json").read_text()  # these were looked at
-    assert "Traceback" not in said
-    assert used < MAX_BYTES
-
-
-MAX_BYTES = 512 * 1024 * 1024
-
-
-def measured(module: str, *arguments: object) -> tuple[str, int]:
-    """What a command says, and the most memory that it takes, in a process of its own."""
-    code = (  # getrusage would count what the parent had in memory, too
-        f"import sys\nfrom {module} import main\ntry:\n    main()\nexcept SystemExit:\n    pass\n"
-        "finally:\n    print(open('/proc/self/status').read(), file=sys.stderr)"
-    )
-    words = [sys.executable, "-c", code, *(str(one) for one in arguments)]
-    result = subprocess.run(words, capture_output=True, text=True, timeout=300)
-    (peak,) = re.findall(r"VmHWM:\s+(\d+) kB", result.stderr)
-    return result.stdout + result.stderr, int(peak) * 1024

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import re
-from collections.abc import Callable, Iterator, Sequence
+import tracemalloc
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -11,16 +13,20 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.analysis.films import CAMERA, ORDER, kept, rendered_ball
+from tests.analysis.answers import known, value
+from tests.analysis.films import CAMERA, ORDER, film_of, kept, rendered_ball, short_film
 from tests.conftest import Made
 from tests.strangers import bounce_heights
 from tunenet_logs.analysis.drop.film import find_filmed_drop
 from tunenet_logs.analysis.evaluation.studies.video import tune_track
 from tunenet_logs.analysis.options import Hints, TuneOptions
+from tunenet_logs.analysis.tracking import frames as kept_film
+from tunenet_logs.analysis.tracking.candidates import Candidates
 from tunenet_logs.analysis.tracking.frames import Pictures
-from tunenet_logs.analysis.tracking.track import Track, track_ball
-from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Picture
+from tunenet_logs.analysis.tracking.track import Track, new_frames, track_ball
+from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop, simulate_drop
 from tunenet_logs.recorders.simulators.ball import TOPIC
 from tunenet_logs.recorders.simulators.camera import PinholeCamera
@@ -30,17 +36,17 @@ def tracked(episode: Episode, hints: Hints | None = None) -> Track:
     return track_ball(Pictures(episode, episode.picture_topics[0]), hints)
 
 
+def rgb(stamp_ns: int, pixels: np.ndarray) -> Frame:
+    height, width = pixels.shape[:2]
+    return Frame(stamp_ns, "rgb8", np.ascontiguousarray(pixels).tobytes(), (width, height))
+
+
 def changed(episode: Episode, change: Callable[[int, np.ndarray], np.ndarray]) -> Episode:
     """The same episode with other pixels."""
-
-    def frames(topic: str) -> Iterator[Frame]:
-        for index, frame in enumerate(episode.frames(topic)):
-            pixels = change(index, frame.decode().copy())
-            height, width = pixels.shape[:2]
-            data = np.ascontiguousarray(pixels).tobytes()
-            yield Frame(frame.stamp_ns, "rgb8", data, (width, height))
-
-    return replace(episode, open_frames=frames)
+    return film_of(
+        rgb(frame.stamp_ns, change(index, frame.decode().copy()))
+        for index, frame in enumerate(episode.frames())
+    )
 
 
 def off_px(track: Track, order: DropOrder = ORDER, camera: PinholeCamera = CAMERA) -> np.ndarray:
@@ -85,44 +91,56 @@ def test_random_cameras_colours_blur_and_noise(seed: int):
     track = tracked(filmed)
     assert track.found.mean() > 0.95
     assert off_px(track, order, camera).std(axis=0).max() < 0.3
-    found = tune_track(track, TuneOptions()).estimate
-    assert found is not None
-    assert found[0] == pytest.approx(0.65, abs=0.01)
+    assert value(tune_track(track, TuneOptions())) == pytest.approx(0.65, abs=0.01)
+
+
+def drawn(
+    restitution: float, ball: int, wall: tuple[int, ...], floor: tuple[int, ...], rate_hz: float
+) -> tuple[Episode, np.ndarray]:
+    """A grey ball with its shadow, drawn here, and the rows of its centre."""
+    times = np.arange(round(2.2 * rate_hz)) / rate_hz - 0.25
+    rows = 430 - 380 * bounce_heights(restitution, 1.0, times)
+    rng = np.random.default_rng(4)
+    frames = []
+    for index, row in enumerate(rows.tolist()):
+        pixels = np.full((480, 360, 3), wall, np.uint8)
+        pixels[420:] = floor
+        dark = tuple(int(0.75 * part) for part in floor)
+        width = int(16 + 0.1 * (430 - row))
+        cv2.ellipse(pixels, (180, 443), (width, 5), 0, 0, 360, dark, -1, cv2.LINE_AA)
+        place = (180 * 16, round(row * 16))
+        cv2.circle(pixels, place, 12 * 16, (ball, ball, ball), -1, cv2.LINE_AA, 4)
+        noisy = pixels + 3 * rng.standard_normal(pixels.shape, np.float32)
+        stamp_ns = round(index * 1e9 / rate_hz)
+        frames.append(rgb(stamp_ns, np.clip(noisy, 0, 255).astype(np.uint8)))
+    return film_of(frames), rows
+
+
+def grey(*levels: int) -> list[tuple[int, int, int]]:
+    return [(level, level, level) for level in levels]
 
 
 @pytest.mark.parametrize(
-    ("ball", "wall", "rate_hz"),
+    ("restitution", "ball", "wall", "floor", "rate_hz"),
     [
-        (110, 170, 60.0),
-        (235, 90, 30.0),
-        pytest.param(40, 190, 30.0, marks=pytest.mark.slow),
-        pytest.param(20, 230, 24.0, marks=pytest.mark.slow),
+        (0.75, 110, *grey(170, 170), 60.0),
+        (0.75, 235, *grey(90, 90), 30.0),
+        pytest.param(0.75, 40, *grey(190, 190), 30.0, marks=pytest.mark.slow),
+        pytest.param(0.75, 20, *grey(230, 230), 24.0, marks=pytest.mark.slow),
+        (0.15, 55, (205, 200, 190), (120, 110, 100), 60.0),  # and lies for most of the film
+        pytest.param(0.15, 125, (150, 150, 165), (90, 20, 30), 60.0, marks=pytest.mark.slow),
     ],
 )
-def test_a_grey_ball_before_a_grey_wall_casting_a_shadow(ball: int, wall: int, rate_hz: float):
-    """Drawn here: a ball without colour differs from the wall as its own shadow does."""
-    times = np.arange(round(2.2 * rate_hz)) / rate_hz - 0.25
-    rows = 430 - 380 * bounce_heights(0.75, 1.0, times)
-    rng = np.random.default_rng(4)
-    frames = []
-    for index, row in enumerate(rows):
-        pixels = np.full((480, 360, 3), wall, np.uint8)
-        dark = int(0.75 * wall)
-        width = int(16 + 0.1 * (430 - row))
-        cv2.ellipse(pixels, (180, 443), (width, 5), 0, 0, 360, (dark, dark, dark), -1, cv2.LINE_AA)
-        place = (180 * 16, round(float(row) * 16))
-        cv2.circle(pixels, place, 12 * 16, (ball, ball, ball), -1, cv2.LINE_AA, 4)
-        noise = 3 * rng.standard_normal(pixels.shape, np.float32)
-        noisy = np.clip(pixels + noise, 0, 255).astype(np.uint8)
-        stamp_ns = round(index * 1e9 / rate_hz)
-        frames.append(Frame(stamp_ns, "rgb8", noisy.tobytes(), (360, 480)))
-    channel = Channel("video", "drawn", "video", np.arange(len(frames)), pictures=True)
-    drawn = Episode(EpisodeInfo(), {}, (channel,), open_frames=lambda _topic: iter(frames))
-    track = tracked(drawn)
+def test_a_ball_without_colour_differs_from_the_wall_as_its_shadow_does(
+    restitution: float, ball: int, wall: tuple[int, ...], floor: tuple[int, ...], rate_hz: float
+):
+    film, rows = drawn(restitution, ball, wall, floor, rate_hz)
+    track = tracked(film)
     assert track.found.mean() > 0.97
     off = (track.places_px - np.column_stack([np.full(len(rows), 180.0), rows]))[track.found]
-    assert (off - np.median(off, axis=0)).std(axis=0).max() < 0.5
-    assert find_filmed_drop(track, 0).projection.bounce.restitution == pytest.approx(0.75, abs=0.01)
+    assert off.std(axis=0).max() < (0.5 if restitution > 0.5 else 0.3)
+    found = find_filmed_drop(track, 0).projection.bounce.restitution
+    assert found == pytest.approx(restitution, abs=0.01 if restitution > 0.5 else 0.015)
 
 
 def test_a_picture_without_the_ball_is_a_gap(episode: Episode):
@@ -181,16 +199,6 @@ def test_a_large_picture_is_reduced_and_its_pixels_are_its_own(episode: Episode)
     assert off_px(track, camera=camera).std(axis=0).max() < 0.5
 
 
-def test_damaged_pictures_are_left_out_and_counted(episode: Episode):
-    def frames(topic: str) -> Iterator[Frame]:
-        for index, frame in enumerate(episode.frames(topic)):
-            yield replace(frame, data=frame.data[:40]) if index % 20 == 7 else frame
-
-    pictures = Pictures(replace(episode, open_frames=frames), episode.picture_topics[0])
-    assert pictures.damaged == len([index for index in range(84) if index % 20 == 7])
-    assert track_ball(pictures).found.mean() > 0.95
-
-
 def seconds_of(track: Track, frame: int) -> float:
     return float(track.stamps_ns[frame] - track.stamps_ns[0]) * 1e-9
 
@@ -242,11 +250,10 @@ def test_what_cannot_be_looked_for_is_named(episode: Episode, track: Track):
         Pictures(episode, topic, start_s=9)
     first = next(episode.frames())
     with pytest.raises(NotFoundError, match="too few"):
-        tracked(replace(episode, open_frames=lambda _topic: iter([first])))
+        tracked(film_of([first]))
     with pytest.raises(NotFoundError, match="nothing moves near 5, 5 px") as refused:
         tracked(episode, Hints(ball_at=(5.0, 5.0, seconds_of(track, 30))))
-    named = re.search(r"the nearest at (\d+), (\d+) px", str(refused.value))
-    assert named is not None
+    named = known(re.search(r"the nearest at (\d+), (\d+) px", str(refused.value)))
     assert [float(one) for one in named.groups()] == pytest.approx(track.places_px[30], abs=1)
 
     def noisy(index: int, _pixels: np.ndarray) -> np.ndarray:
@@ -260,39 +267,119 @@ def test_what_cannot_be_looked_for_is_named(episode: Episode, track: Track):
 WIDE, TALL = 320, 240
 
 
-def room() -> Picture:
+def room() -> np.ndarray:
     """Something to see everywhere, three times as wide as a picture."""
     rng = np.random.default_rng(3)
     coarse = rng.integers(40, 220, (TALL // 12, 3 * WIDE // 12, 3)).astype(np.uint8)
-    size = (3 * WIDE, TALL)
-    return np.asarray(cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC), np.uint8)
-
-
-def with_ball(picture: Picture, x: float, y: float) -> Picture:
-    shown = picture.copy()
-    cv2.circle(shown, (round(x), round(y)), 9, (250, 120, 20), -1, cv2.LINE_AA)
-    return shown
-
-
-def episode_of(pictures: Sequence[Picture], rate_hz: float = 30.0) -> Episode:
-    stamps = np.round(np.arange(len(pictures)) / rate_hz * 1e9).astype(np.int64)
-    frames = [
-        Frame(int(stamp), "rgb8", picture.tobytes(), (WIDE, TALL))
-        for stamp, picture in zip(stamps, pictures, strict=True)
-    ]
-    channel = Channel("c", "rgb8", "raw", stamps, pictures=True)
-    return Episode(EpisodeInfo(), {}, (channel,), open_frames=lambda _topic: iter(frames))
+    return cv2.resize(coarse, (3 * WIDE, TALL), interpolation=cv2.INTER_CUBIC)
 
 
 def test_a_camera_that_moves_is_named_before_anything_is_looked_for():
     view = room()
-    pictures = [view[:, 8 * at : 8 * at + WIDE] for at in range(60)]
+    pictures = (rgb(at * 33_333_333, view[:, 8 * at : 8 * at + WIDE]) for at in range(60))
     with pytest.raises(NotFoundError, match="the camera moves"):
-        track_ball(Pictures(episode_of([np.ascontiguousarray(one) for one in pictures]), "c"))
+        tracked(film_of(pictures))
 
 
 def test_a_ball_that_rolls_across_the_picture_never_falls():
-    view = np.ascontiguousarray(room()[:, :WIDE] // 2)
-    pictures = [with_ball(view, 20 + 6 * at - 0.03 * at**2, 180) for at in range(50)]
+    pictures = []
+    for at in range(50):
+        shown = np.ascontiguousarray(room()[:, :WIDE] // 2)
+        place = round(20 + 6 * at - 0.03 * at**2), 180
+        cv2.circle(shown, place, 9, (250, 120, 20), -1, cv2.LINE_AA)
+        pictures.append(rgb(at * 33_333_333, shown))
     with pytest.raises(NotFoundError, match=r"never falls|nothing falls"):
-        find_filmed_drop(track_ball(Pictures(episode_of(pictures), "c")), 0)
+        find_filmed_drop(tracked(film_of(pictures)), 0)
+
+
+# ---- Films that are long, that repeat pictures, that are kept in memory
+
+
+@pytest.mark.parametrize("more", [40, pytest.param(250, marks=pytest.mark.slow)])
+def test_memory_does_not_grow_with_the_recording(
+    made: Made, monkeypatch: pytest.MonkeyPatch, more: int
+):
+    """The ball lies in the hand for long; what grows is a few numbers for each picture."""
+    frames = list(read_episode(short_film(made, rate_hz=30)).frames())
+    start_ns, period_ns = frames[0].stamp_ns, frames[1].stamp_ns - frames[0].stamp_ns
+    monkeypatch.setattr(kept_film, "_MAX_BYTES", 5_000_000)
+    peaks = []
+    for times in (1, more):
+        held = [
+            replace(frames[number % 5], stamp_ns=start_ns + (number - times) * period_ns)
+            for number in range(times)
+        ]
+        longer = film_of([*held, *frames])
+        tracemalloc.start()
+        track = tracked(longer)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert track.found[times + 10 :].mean() > 0.95
+    assert peaks[1] < 1.3 * peaks[0]
+
+
+def test_a_film_that_is_not_kept_is_the_same_and_one_is_kept_while_its_episode_lasts(
+    made: Made, monkeypatch: pytest.MonkeyPatch
+):
+    first, second = rendered_ball(made), rendered_ball(made)
+    topic = first.picture_topics[0]
+    whole, _ = tracked(first), tracked(second)
+    assert kept_film.kept_film(first, topic) is None
+    assert kept_film.kept_film(second, topic) is not None
+    del second
+    gc.collect()
+    assert not len(kept_film._last)
+    monkeypatch.setattr(kept_film, "_MAX_BYTES", 1_000_000)
+    again = tracked(first)
+    assert kept_film.kept_film(first, topic) is None
+    assert np.array_equal(whole.places_px, again.places_px, equal_nan=True)
+
+
+def test_pictures_that_come_twice_count_once(episode: Episode):
+    """As phones store them that play a film of 30 at 60 frames a second; where it bounces, too."""
+    frames = list(episode.frames())
+    track = tracked(
+        film_of(
+            replace(frames[index - index % 2], stamp_ns=one.stamp_ns)
+            for index, one in enumerate(frames)
+        )
+    )
+    places = CAMERA.image_from_world(simulate_drop(ORDER).signals[TOPIC].values)
+    rows = np.searchsorted([one.stamp_ns for one in frames], track.stamps_ns)
+    moved = np.abs(np.gradient(places[:, 1]))[rows] > 0.5
+    assert moved.sum() > 20
+    assert (rows[moved] % 2 == 0).all()
+    assert np.median(np.abs(track.places_px - places[rows])[moved]) < 0.3
+
+
+def test_a_camera_that_freezes_leaves_a_gap(episode: Episode):
+    frames = list(episode.frames())
+    frozen = [replace(frames[22], stamp_ns=one.stamp_ns) for one in frames[22:28]]
+    track = tracked(film_of([*frames[:22], *frozen, *frames[28:]]))
+    stamps_ns = [one.stamp_ns for one in [*frames[:23], *frames[28:]]]
+    assert track.stamps_ns.tolist() == stamps_ns
+
+
+@pytest.mark.parametrize(
+    ("rows", "kept"),
+    [
+        ((0, 4, 8, 12, 12, 16, 20), (0, 1, 2, 3, 5, 6)),
+        ((0, 4, 8, 12, 12, 8, 4), (0, 1, 2, 3, 4, 5, 6)),
+        ((12, 12, 12, 12, 12, 12, 12), (0, 1, 2, 3, 4, 5, 6)),
+    ],
+    ids=["falls on", "bounces", "lies"],
+)
+def test_seen_twice_in_one_place_a_ball_that_turns_back_counts_twice(
+    rows: tuple[int, ...], kept: tuple[int, ...]
+):
+    """Of seven pictures the fifth is as the fourth: once more only where the ball goes on."""
+    count = len(rows)
+    table = Candidates(
+        seconds=np.arange(count) / 60,
+        places_px=np.array([[[50.0, row]] for row in rows]),
+        areas_px=np.full((count, 1), 80.0),
+        colours=np.zeros((count, 1, 3)),
+        whole=np.ones((count, 1), dtype=bool),
+        misfits=np.zeros((count, 1)),
+    )
+    assert tuple(new_frames(table, np.arange(count) == 4)) == kept

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import signal
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,18 +10,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.analysis.tunenet.dying import dies, dies_once
 from tests.conftest import Command
 from tests.engines import needs_pybullet
-from tunenet_logs.analysis.drop import presets as film_presets
 from tunenet_logs.analysis.drop.presets import TRAININGS
+from tunenet_logs.analysis.evaluation.studies.drop_methods import (
+    Antisymmetrised,
+    DifferenceNetwork,
+)
 from tunenet_logs.analysis.experiment import Training
-from tunenet_logs.analysis.parallel import HERE, Cluster
+from tunenet_logs.analysis.parallel import HERE, Cluster, on_cluster
 from tunenet_logs.analysis.payload.detection import TRAININGS as PAYLOADS
 from tunenet_logs.analysis.tunenet import network as networks
 from tunenet_logs.analysis.tunenet.network import (
     NETWORKS,
     Model,
     Network,
+    PaperNetwork,
     Scaling,
     Workers,
     initial_weights,
@@ -36,25 +38,28 @@ from tunenet_logs.episode import Array
 from tunenet_logs.errors import TuneNetError
 from tunenet_logs.terminal import Progress
 
-NONE, ONE = np.zeros(1), np.ones(1)
+Seen = tuple[Array, Array]  # what is proposed, and the target
+# Those of tunings, and of the evaluation's ablation.
+EVERY: dict[str, Network] = {
+    **NETWORKS,
+    "difference": DifferenceNetwork(),
+    "antisymmetrised": Antisymmetrised(PaperNetwork()),
+}
+each_network = pytest.mark.parametrize("network", EVERY.values(), ids=EVERY)
 
 
-def weights(network: Network, outputs: int = 2) -> dict[str, np.ndarray]:
+def weights(network: Network, outputs: int = 2) -> dict[str, Array]:
     return initial_weights(network, 30, outputs, np.random.default_rng(0))
 
 
-@pytest.fixture(params=NETWORKS.values(), ids=list(NETWORKS))
-def network(request: pytest.FixtureRequest) -> Network:
-    return request.param
-
-
 @pytest.fixture
-def observations() -> tuple[np.ndarray, np.ndarray]:
+def observations() -> Seen:
     rng = np.random.default_rng(1)
     return rng.normal(size=(7, 30)), rng.normal(size=(7, 30))
 
 
-def test_torch_and_numpy_agree(network: Network, observations):
+@each_network
+def test_torch_and_numpy_agree(network: Network, observations: Seen):
     import torch
 
     proposed, target = observations
@@ -65,15 +70,10 @@ def test_torch_and_numpy_agree(network: Network, observations):
     assert np.allclose(here, there.numpy(), atol=1e-12)
 
 
-def test_a_batch_is_its_members(network: Network, observations):
-    proposed, target = observations
-    together = network.residual(weights(network), proposed, target)
-    alone = [network.residual(weights(network), proposed[[k]], target[[k]])[0] for k in range(7)]
-    assert np.allclose(together, alone)
-
-
+@each_network
 def test_what_is_not_seen_does_not_count(network: Network):
-    model = Model(network, weights(network, 1), Scaling(NONE, ONE, NONE, ONE))
+    none, one = np.zeros(1), np.ones(1)
+    model = Model(network, weights(network, 1), Scaling(none, one, none, one))
     rng = np.random.default_rng(2)
     proposed, target = rng.normal(size=(1, 30, 1)), rng.normal(size=(1, 30, 1))
     target[:, 20:] = np.nan
@@ -83,13 +83,32 @@ def test_what_is_not_seen_does_not_count(network: Network):
     assert np.isfinite(model(proposed, target)).all()
 
 
-def test_antisymmetric_is_zero_at_equal_observations(observations):
-    network = NETWORKS["antisymmetric"]
+@each_network
+def test_only_the_papers_own_networks_are_not_antisymmetric(network: Network, observations: Seen):
     proposed, target = observations
-    assert np.array_equal(network.residual(weights(network), proposed, proposed), np.zeros((7, 2)))
+    same = network.residual(weights(network), target, target)
     forth = network.residual(weights(network), proposed, target)
     back = network.residual(weights(network), target, proposed)
-    assert np.allclose(forth, -back)
+    assert forth.any()
+    is_antisymmetric = not same.any() and np.allclose(forth, -back)
+    assert is_antisymmetric == (network.kind not in ("paper", "difference"))
+
+
+def test_twice_the_torques_are_twice_the_residual(observations: Seen):
+    network = NETWORKS["homogeneous"]
+    proposed, target = observations
+    once = network.residual(weights(network), proposed, target)
+    twice = network.residual(weights(network), 2 * proposed, 2 * target)
+    assert twice == pytest.approx(2 * once)
+
+
+def test_the_difference_sees_nothing_but_the_difference_of_both_outputs(observations: Seen):
+    network, (proposed, target) = EVERY["difference"], observations
+    same = weights(network)
+    same |= {f"target.{part}": same[f"proposed.{part}"] for part in ("weight", "bias")}
+    at_rest = network.residual(same, 0 * proposed, 0 * proposed)
+    assert network.residual(same, target, target) == pytest.approx(at_rest)
+    assert network.residual(same, proposed, target) != pytest.approx(at_rest)
 
 
 QUIET = Progress(quiet=True)
@@ -106,20 +125,31 @@ def _made(preset: Training, workers: Workers) -> Array:
     return preset.make_pairs(_FEW, _SEED, workers, QUIET).observations
 
 
+def _made_here(name: str) -> bytes:
+    return _made(PRESETS[name], 1).tobytes()
+
+
 @pytest.mark.live
-@pytest.mark.parametrize(
-    "name", [pytest.param("drop paper-code", marks=pytest.mark.slow), "payload default"]
-)
-def test_a_cluster_makes_the_same_bits(name: str):
+def test_a_cluster_makes_the_same_bits_and_raises_what_its_work_raises():
     pytest.importorskip("ray")
-    assert _made(PRESETS[name], 1).tobytes() == _made(PRESETS[name], Cluster(HERE, 2)).tobytes()
+    names = ("payload default", "drop default", "nothing")
+    found: dict[str, bytes] = {}
+
+    def collect() -> None:
+        for at, made in on_cluster(Cluster(HERE, 1), _made_here, names, _made_here):
+            found[names[at]] = made
+
+    with pytest.raises(KeyError, match="nothing"):
+        collect()
+    assert found == {name: _made_here(name) for name in names[:2]}
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_bits_do_not_depend_on_who_makes_them_or_how_they_are_cut(
     name: str, monkeypatch: pytest.MonkeyPatch
 ):
-    found = [_made(PRESETS[name], 1).tobytes(), _made(PRESETS[name], 2).tobytes()]
+    found = [_made(PRESETS[name], 1).tobytes()]
+    found += [_made(PRESETS[name], 2).tobytes()] * name.endswith("default")
     monkeypatch.setattr(networks, "_CHUNKS", 1)
     for most in (1, 7):
         monkeypatch.setattr(networks, "_MAX_AT_A_TIME", most)
@@ -151,45 +181,15 @@ def test_weights_do_not_depend_on_where_their_pairs_were_made(
     assert _weights_sha256(command, tmp_path / "2.safetensors", *words) == one
 
 
-def _dies_once(folder: Path, items: Sequence[int]) -> Array:
-    """The process of the first chunk dies, the first time."""
-    if 0 in items:
-        mark = folder / "died"
-        if not mark.exists():
-            mark.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-    return np.array(items, float)[:, None, None]
-
-
-def _dies(items: Sequence[int]) -> Array:
-    os.kill(os.getpid(), signal.SIGKILL)
-    return np.array(items, float)[:, None, None]
-
-
-@pytest.mark.parametrize("on", ["processes", pytest.param("ray", marks=pytest.mark.live)])
-def test_what_a_dead_worker_had_is_made_again(on: str, tmp_path: Path):
-    if on == "ray":
-        pytest.importorskip("ray")
-    workers = Cluster(HERE, 2) if on == "ray" else 2
-    found = observe_all(partial(_dies_once, tmp_path), range(300), workers, QUIET)
+def test_what_a_dead_worker_had_is_made_again(tmp_path: Path):
+    found = observe_all(partial(dies_once, tmp_path), range(300), 2, QUIET)
     assert (tmp_path / "died").exists()
     assert np.array_equal(found[:, 0, 0], np.arange(300))
 
 
 def test_a_worker_that_always_dies_is_one_error():
     with pytest.raises(TuneNetError, match="died each time"):
-        observe_all(_dies, range(4), 2, QUIET)
-
-
-def _fails(items: Sequence[int]) -> Array:
-    raise ValueError(f"no {items[0]}")
-
-
-@pytest.mark.live
-def test_a_cluster_raises_what_its_work_raises():
-    pytest.importorskip("ray")
-    with pytest.raises(ValueError, match="no 0"):
-        observe_all(_fails, [0], Cluster(HERE, 1), QUIET)
+        observe_all(dies, range(4), 2, QUIET)
 
 
 @pytest.mark.parametrize(
@@ -207,29 +207,6 @@ def test_a_short_training_beats_no_training(name: str):
         model, weights=initial_weights(preset.network, inputs, preset.purpose.outputs, rng)
     )
     assert one_step_error(model, fresh) < 0.5 * one_step_error(untrained, fresh)
-
-
-@needs_pybullet
-def test_the_papers_pairs_of_films_show_z_beside_the_pictures_y():
-    pairs = film_presets.FILM_TRAININGS["paper"].make_pairs(12, 0, 1, QUIET)
-    simulated, filmed = pairs.observations[pairs.proposed], pairs.observations[pairs.target]
-    assert simulated.shape == filmed.shape == (12, 400, 1)
-    assert 0.78 < simulated[:, 0].min() <= simulated[:, 0].max() < 1.02
-    assert (simulated[:, 0] > simulated[:, -1]).all()
-    assert (filmed >= 0).all()
-    assert (filmed <= 1).all()
-    assert (filmed[:, 0] < filmed[:, -1]).all()
-
-
-def test_the_same_seed_gives_the_same_weights():
-    preset = TRAININGS["default"]
-    pairs = preset.make_pairs(100, 0, 1, QUIET)
-    recipe = replace(preset.recipe, epochs=2)
-    first, again = (train(preset.network, pairs, recipe, 5, QUIET) for _ in range(2))
-    other = train(preset.network, pairs, recipe, 6, QUIET)
-    for name, weight in first.weights.items():
-        assert np.array_equal(weight, again.weights[name])
-    assert not np.array_equal(first.weights["out.weight"], other.weights["out.weight"])
 
 
 @needs_pybullet

@@ -7,7 +7,7 @@ import json
 import os
 import struct
 import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -137,12 +137,6 @@ def test_the_package_ships_weights_for_every_preset(name: str):
     assert model.network.kind == preset.network.kind
 
 
-def rewritten(path: Path, change: Callable[[Header], Header]) -> None:
-    """Change the header, and make the digest fit."""
-    header, tensors = parted(path.read_bytes())
-    path.write_bytes(joined(with_own_digest(change(header), tensors), tensors))
-
-
 def test_nothing_but_our_own_error_comes_of_a_forged_file(saved: Path):
     forgeries = list(forged(saved.read_bytes()))
     said: list[str] = []
@@ -203,30 +197,10 @@ def test_weights_that_do_not_fit_are_refused(
         load_model(tmp_path / "w", replace(PURPOSE, **purpose))
 
 
-RATES = ("[NaN]", "[]", "[1e999]", "[-60]", "[true]", "60", "[" * 5000)
-GAIN = "scaling.input_gain"
-
-
-@pytest.mark.parametrize(
-    ("place", "value", "says"),
-    [
-        *(("dtype", one, r"scaling\.input_gain.*has the dtype") for one in DTYPES),
-        *(("rates_hz", one, "rates_hz") for one in RATES),
-        ("nothing", None, ""),
-    ],
-)
-def test_what_a_stranger_rewrites_is_refused_unless_it_is_as_good_as_ours(
-    saved: Path, place: str, value: object, says: str
-):
-    def change(header: Header) -> Header:
-        if place == "dtype":
-            return {**header, GAIN: {**header[GAIN], "dtype": value}}
-        told = header["__metadata__"]
-        return {**header, "__metadata__": {**told, "rates_hz": value} if says else told}
-
-    rewritten(saved, change)
-    if says:
-        with pytest.raises(WeightsError, match=says):
-            load_model(saved, PURPOSE)
-    else:
-        assert load_model(saved, PURPOSE).network.kind == "antisymmetric"
+@pytest.mark.parametrize("rates", ["[NaN]", "[]", "[1e999]", "[-60]", "[true]", "60", "[" * 5000])
+def test_rates_that_a_stranger_rewrites_are_refused(saved: Path, rates: str):
+    header, tensors = parted(saved.read_bytes())
+    header["__metadata__"]["rates_hz"] = rates
+    saved.write_bytes(joined(with_own_digest(header, tensors), tensors))
+    with pytest.raises(WeightsError, match="rates_hz"):
+        load_model(saved, PURPOSE)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -27,11 +28,8 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
+from tests.bench import ROOT, SHARED
 from tests.bench.faults.table import SETS, Fault
-
-ROOT = Path(__file__).resolve().parents[3]
-# Recordings of others, which tests use where they are there: beside the tree.
-SHARED = ROOT.parent / "shared"
 
 _NOT_COPIED = shutil.ignore_patterns(
     *(".git", ".venv", "__pycache__", ".*_cache", ".hypothesis", "*.egg-info"),
@@ -39,7 +37,7 @@ _NOT_COPIED = shutil.ignore_patterns(
 )
 _SUITE = ("-m", "not slow")
 _ALL_CORES = ("-n", "auto", "--dist", "loadfile")
-_PASSED, _FAILED, _NO_TESTS = (0,), (1, 2), (5,)  # what pytest ends with
+_PASSED, _FAILED = (0, 5), (1, 2)  # what pytest ends with; 5 where no test was selected
 _LIKELY_S, _SUITE_S = 1200, 5400  # after which a run of the likely tests, or of all, hangs
 _MISSED_OF = 20  # of so many faults, one may be missed
 
@@ -48,8 +46,8 @@ class Run(NamedTuple):
     """Result of one run of pytest; nothing in it where every test passed."""
 
     failed: str = ""  # the first test that failed, or the file that could not be imported
-    hangs: bool = False
     trouble: str = ""  # why the run says nothing of the tests
+    hangs: bool = False
 
 
 def misplaced(faults: Sequence[Fault]) -> list[str]:
@@ -108,19 +106,13 @@ def tested(tree: Path, *words: str, limit_s: float) -> Run:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-    return _read(process.returncode, output)
-
-
-def _read(code: int, output: str) -> Run:
-    if code in _PASSED + _NO_TESTS:
+    if process.returncode in _PASSED:
         return Run()
-    lines = output.splitlines()
-    for line in lines:
-        kind, _, rest = line.partition(" ")
-        if code in _FAILED and kind in ("FAILED", "ERROR") and rest[:6] == "tests/":
-            return Run(failed=rest.split(" - ")[0])
-    last = next((line for line in reversed(lines) if line.strip()), "no output")
-    return Run(trouble=f"pytest ended with {code}: {last.strip()}")
+    failed = re.search(r"^(?:FAILED|ERROR) (tests/.*?)(?: - .*)?$", output, re.MULTILINE)
+    if process.returncode in _FAILED and failed:
+        return Run(failed[1])
+    last = output.strip().rpartition("\n")[2].strip() or "no output"
+    return Run(trouble=f"pytest ended with {process.returncode}: {last}")
 
 
 def tried(fault: Fault, *, likely_only: bool) -> tuple[bool, str]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tests.conftest import Command, real
 from tests.export_writers import SUFFIXES, WRITERS, oriented
+from tests.reading import skipped
 from tunenet_logs.episode import UNSTATED, Episode
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.kinds import start_of
@@ -63,11 +64,6 @@ def outcome(path: Path) -> Episode | str:
         return read(path)
     except LogError as error:
         return str(error)
-
-
-def skipped(episode: Episode) -> dict[str, str]:
-    """Why what is not used is not."""
-    return {one.topic: one.skipped for one in episode.channels if one.skipped is not None}
 
 
 def assert_track(signal: Any, xyz: NDArray[np.float64], atol: float) -> None:
@@ -279,16 +275,6 @@ def test_what_was_never_seen_is_listed_and_names_that_stand_twice_stay_apart(
     assert done.returncode == 0
     used = [one for one in done.stdout.splitlines() if one.endswith("yes")]
     assert all(any(name in one for one in used) for name in signals)
-
-
-@every_layout
-@pytest.mark.parametrize("seen", [0.4, 0.6])
-def test_what_is_often_unseen_did_not_come_late(tmp_path: Path, layout: str, seen: float):
-    xyz = BALL[SEEN][np.minimum(np.arange(2000), 219)]
-    xyz[np.random.default_rng(1).random(2000) > seen] = np.nan
-    path = written(tmp_path, layout, {"Ball": xyz}, np.arange(2000) / 360, rate_hz=360.0)
-    stamps = read(path).signals["Ball"].stamps_ns
-    np.testing.assert_array_equal(correct_late_stamps(stamps).stamps_ns, stamps)
 
 
 @pytest.mark.parametrize(

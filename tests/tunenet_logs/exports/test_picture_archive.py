@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,8 +14,7 @@ import pytest
 
 from tests.analysis.films import short_film
 from tests.conftest import Made
-from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.analysis.tuning import tune_log
+from tests.reading import tuned
 from tunenet_logs.episode import FRAME_NS, Episode
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.options import ReadOptions
@@ -184,15 +184,9 @@ def test_a_drop_in_numbered_pictures_is_tuned(made: Made, tmp_path: Path, kind: 
         for number, frame in enumerate(read_episode(short_film(made, rate_hz=60)).frames())
     }
     path = tmp_path / ("a.zip" if kind == "zip" else "a")
-    if kind == "zip":
-        with zipfile.ZipFile(path, "w") as archive:
-            for name, data in pictures.items():
-                archive.writestr(name, data)
-    else:
-        path.mkdir()
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         for name, data in pictures.items():
-            (path / name).write_bytes(data)
-    tuning = tune_log(path, TuneOptions())
-    assert tuning.verdict == "ok", tuning.reason
-    assert tuning.estimate is not None
-    assert tuning.estimate[0] == pytest.approx(0.7, abs=0.005)
+            archive.writestr(name, data)
+    if kind == "folder":
+        shutil.unpack_archive(tmp_path / "a.zip", path)
+    assert tuned(path) == pytest.approx(0.7, abs=0.005)
