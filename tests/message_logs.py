@@ -125,7 +125,7 @@ def ros2(types: Mapping[str, str] | None = None) -> Any:
 def message(store: Any, kind: str, fields: Mapping[str, Any]) -> Any:
     """A message of a store's types; what has no value is 0 or empty."""
     defined = store.fielddefs[kind][1]
-    values = {name: _value(store, *node, fields.get(name)) for name, node in defined}
+    values = {name: _value(store, node[0], node[1], fields.get(name)) for name, node in defined}
     return store.types[kind](**values)
 
 

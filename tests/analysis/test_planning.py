@@ -169,7 +169,7 @@ def test_a_restitution_that_is_told_is_as_sure_as_it_is_told():
     assert told_ball(0.0, sd=0.01).sd_at(2.2) == pytest.approx(0.01)
 
 
-def of_law(path: Path, law: SpeedLaw, speeds: np.ndarray, half: float, off=0.0) -> KnownBall:
+def of_law(path: Path, law: SpeedLaw, speeds: np.ndarray, half: float, off: Any = 0.0) -> KnownBall:
     """The ball of a tuning that tells its bounces."""
     rows = np.column_stack([speeds, law.at(speeds) + off]).tolist()
     return read_tuning(write_tuning(path, [(speed, value, half) for speed, value in rows]))

@@ -413,7 +413,7 @@ def write_video(
     `ticks` are the pictures' stamps [1/90000 s], even ones if None; `rotated_deg` is by how much a
     player is to turn what is stored.
     """
-    av.logging.set_level(None)
+    av.logging.set_level(None)  # pyright: ignore[reportPrivateImportUsage]
     base = Fraction(1, rate_hz) if ticks is None else Fraction(1, TICKS_HZ)
     with av.open(str(path), "w", format=container) as file:
         stream: Any = file.add_stream(codec, rate=rate_hz, options=dict(options or {}))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import socket
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from functools import cache
 from http.client import HTTPConnection, HTTPException
@@ -34,7 +34,9 @@ TEST_PICTURES = (
 
 
 @contextmanager
-def running(words: list[object], answers: Callable[[], object] = lambda: True) -> Iterator[None]:
+def running(
+    words: Sequence[object], answers: Callable[[], object] = lambda: True
+) -> Iterator[None]:
     """A server, once it answers where that can be asked, until it is no longer needed."""
     ends: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     with ending(subprocess.Popen([*map(str, words)], text=True, **ends)):

@@ -288,7 +288,9 @@ def test_air_and_slope_move_it_as_an_integrator_has_it(ball: tuple[float, float,
     for gap_m in np.linspace(0.2, 5.0, 25):
         rig = DropRig(gap_m=float(gap_m), rate_hz=100.0, samples=500)
         values = {"restitution": ball[0], "restitution_slope": ball[1], "drag": ball[2]}
-        off_m = heights(rig, **values) - integrated(float(gap_m), ball, np.arange(500) / 100.0)
+        off_m = heights(rig, CALIBRATED, **values) - integrated(
+            float(gap_m), ball, np.arange(500) / 100.0
+        )
         assert np.nanmax(np.abs(off_m)) < 1e-4
         assert DropSimulator(rig).rollout(values).info.truth == values
 

@@ -74,13 +74,13 @@ module geometry_msgs {{ module msg {{ struct Point {{ double x; double y; double
 def anything(store: Any, node: Nodetype, of: Any, rng: np.random.Generator) -> Any:
     """Of a type, anything that it can hold."""
     if node == Nodetype.NAME:
-        return {name: anything(store, *one, rng) for name, one in store.fielddefs[of][1]}
+        return {name: anything(store, one[0], one[1], rng) for name, one in store.fielddefs[of][1]}
     if node == Nodetype.BASE:
         number = int(rng.integers(8))
         known = {"string": "abcdefgh"[:number], "bool": bool(number % 2)}
         return known.get(of[0], float(np.float32(rng.normal())) if "float" in of[0] else number)
     count = of[1] if node == Nodetype.ARRAY else int(rng.integers(4))
-    return [anything(store, *of[0], rng) for _ in range(count)]
+    return [anything(store, of[0][0], of[0][1], rng) for _ in range(count)]
 
 
 def same(theirs: Any, ours: Any) -> bool:

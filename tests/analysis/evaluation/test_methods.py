@@ -16,9 +16,8 @@ from tunenet_logs.analysis.tunenet.weights import shipped_model
 from tunenet_logs.episode import Episode
 from tunenet_logs.recorders.simulators.base import CALIBRATED, PAPER, Simulator
 
-NETWORKS = dict.fromkeys(
-    ("paper", "paper-code", "direct"), shipped_model(TRAININGS["paper-code"].purpose)
-)
+_SHIPPED = shipped_model(TRAININGS["paper-code"].purpose)
+NETWORKS: drop.Networks = dict.fromkeys(("paper", "paper-code", "direct"), _SHIPPED)
 SEARCHES = ["entropy-search", "cma-es", "secant", "brent", "least-squares", "tpe"]
 NAMES = ["mean", "direct", "tunenet-paper", "tunenet-paper-code", *SEARCHES]
 DEAR = ("entropy-search", "cma-es", "tpe")  # they take long, or their libraries load for long

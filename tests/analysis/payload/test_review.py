@@ -49,6 +49,7 @@ def test_the_torques_lie_on_the_logs_time(tuned: Tuning, review: Stored):
     assert tuned.estimate is not None
     rollout = found.simulator.rollout({"payload_mass": float(tuned.estimate[0])})
     expected = rollout.signals["/joint_states.effort"].values
+    _, simulated = review.series("/torque/joint_7/iterations")
     assert simulated[:, -1] == pytest.approx(expected[:, 6])
 
 

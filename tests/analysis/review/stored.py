@@ -124,7 +124,7 @@ class Stored:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Times [s] of an entity on the log's time, and the values of one component."""
         times_ns, cells = self.entities[entity][component].timed["log_time_s"]
-        return times_ns * 1e-9, np.array([cell.as_py() for cell in cells], np.float64)
+        return times_ns.astype(np.float64) * 1e-9, np.array([cell.as_py() for cell in cells], float)
 
     def stops(self, view: View) -> Iterator[tuple[str, int]]:
         """First, middle and last time of each timeline that a view's tab is for."""
