@@ -3,11 +3,13 @@
 # `make docs` builds the site, `make docs-check` runs every command of the documents,
 # `make pictures` draws the documents' pictures again.
 # `make smoke` installs the wheel for every other supported Python found here, and tunes with it.
-# PYTHON is 3.11, 3.12 or 3.13; without it, that of .venv, else python3.11, else python3.
+# PYTHON is 3.11, 3.12 or 3.13.
 # PIP_ARGS reaches pip, e.g. to take PyTorch's CPU build from its own index (see README).
 
 BIN := .venv/bin
-PYTHON ?= $(or $(wildcard $(BIN)/python),$(shell command -v python3.11 || command -v python3))
+# that of .venv; else of the environment that is active; else 3.11, for which PyBullet has wheels
+ACTIVE := $(firstword $(VIRTUAL_ENV) $(CONDA_PREFIX))
+PYTHON ?= $(or $(wildcard $(BIN)/python),$(ACTIVE:%=%/bin/python),$(shell command -v python3.11 || command -v python3))
 PIP_ARGS ?=
 version = $(shell $(1) -c 'import platform; print("-".join((platform.python_implementation(), platform.python_version()[:4])))' 2>/dev/null)
 # wheels alone, so that no compiler is needed; nflows (of sbi) has none, and is plain Python
@@ -30,7 +32,7 @@ demo: .venv/installed
 	$(BIN)/tunenet-tune demo/drop.mcap $(SAMPLES) -o demo --overwrite
 	$(BIN)/tunenet-tune sample_logs/payload.mcap --tare sample_logs/payload_empty.mcap -o demo --overwrite
 	$(BIN)/tunenet-review sample_logs/campaign -o demo/campaign.rrd
-	@echo "look at them: $(BIN)/rerun demo/drop.rrd"
+	@echo "look at them: $(BIN)/rerun demo/filmed.rrd"
 
 # types are checked beside the tests
 test: .venv/developing

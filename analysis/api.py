@@ -344,7 +344,7 @@ def report(
         places: JSONs of tunings, folders of them, or a campaign's folder.
         page: The page, `NAME.html`; None for none.
         figures: A file for the main figure, or a folder for all; None for none.
-        kind: Format of the figures, "pdf" or "png".
+        kind: Format of the figures, "pdf" or "png"; "csv" for the curves themselves.
         jobs: Processes for a campaign's drops; None for all cores.
         overwrite: Whether results of other logs may be replaced.
 

@@ -92,13 +92,12 @@ class CheckSpec:
     name: str
     limit: Limit
     measures: str  # what it measures, for docs/checks.md
-    cause: str  # the usual cause of a failure, for docs/checks.md
     advice: str  # see `Check`
     seen: str = "{value} {unit}"  # what was seen
     wanted: str | None = None  # the limit, in brackets after it; None for the usual words
     more: str = ""  # what follows the brackets
     passes: str = ""  # what passes, for docs/checks.md; "" for the limit alone
-    if_not: str = ""  # what a failure means, for docs/checks.md; "" for what the limit says
+    if_not: str = ""  # what a failure means, for docs/checks.md; "" for what follows from the rest
     invalidates_interval: bool = True  # see `Check`
     secondary: bool = False  # see `Check`
 
@@ -196,6 +195,11 @@ class CrossCheck:
     noise95: float | None = None
     advice: str = field(default="", metadata=_UNWRITTEN)
 
+    @property
+    def tells(self) -> bool:
+        """Whether it says something: it disagrees, or would, if it were a tenth of itself off."""
+        return not self.agrees or self.tolerance is None or self.tolerance < 0.1 * abs(self.value)
+
     @classmethod
     def judged(
         cls,
@@ -216,21 +220,17 @@ LOG = table(
     CheckSpec(
         "samples as they were recorded",
         TRUE,
-        measures="whether the samples that were read are as the file's checksums have them",
-        passes="none is known to be changed",
-        cause="a wrong data checksum, a cut end",
+        measures="samples that the file's checksums say were changed",
+        passes="none",
         advice="tune the log as it was before it was damaged",
     ),
     CheckSpec(
         "samples are all there",
         at_most(100 * MAX_LEFT_OUT, "%", ".1f"),
         seen="{what}: {value} %",
-        measures="samples of what is tuned that the log had besides, and that are left out: by a "
-        "clock that was set, with the stamp of another sample but other values, in damaged "
-        "messages and places, in rows that cannot be read, beyond a budget; a tare's too",
+        measures="samples left out, a tare's too (a set clock, two values at one stamp, damage, "
+        "unreadable rows, a budget)",
         passes="at most {limit} % of all",
-        cause="a clock set while it recorded, local time at the end of summer time, two things "
-        "under one name, a damaged file",
         advice="stamp samples by a clock that is not set meanwhile, local time by UTC; else "
         "record, copy or export it whole",
     ),

@@ -27,7 +27,7 @@ from tunenet_logs.terminal import Progress, short_name
 if TYPE_CHECKING:
     import pandas as pd
     from rerun import RecordingStream
-    from rerun.blueprint import Container
+    from rerun.blueprint import Container, View
 
 
 class Claim(IntEnum):
@@ -138,6 +138,10 @@ class Experiment(Protocol):
         """
         ...
 
+    def example(self, stream: RecordingStream) -> View | None:
+        """Log how a recording looks that can be used, for one that cannot; None for no picture."""
+        ...
+
 
 # ---- Plausible values: remove those that nothing measures, so that no sum overflows later.
 
@@ -218,6 +222,13 @@ class Tuning:
     def to_frame(self) -> pd.DataFrame:
         """Return the values as a table; see `Record.to_frame`."""
         return self.record.to_frame()
+
+    def __repr__(self) -> str:
+        """Say verdict and values in one line."""
+        return repr(self.record)
+
+    def _repr_html_(self) -> str:
+        return self.record._repr_html_()
 
     @property
     def physical(self) -> bool:

@@ -371,9 +371,10 @@ def _tunings(parameter: str, rows: Sequence[Row]) -> TextTable:
         record, cross, fit = row.record, row.record.cross_check, row.record.motion.fit
         first = record.estimates[0].components[0] if record.estimates else None
         ends = interval_words(first and first.interval95)
-        second = "-" if cross is None else f"{cross.value:.4f}"
-        if cross is not None and cross.tolerance is not None:
-            second += f" ({cross.tolerance:.4f})"
+        second = "-"
+        if cross is not None and cross.tells:
+            second = f"{cross.value:.4f}"
+            second += "" if cross.tolerance is None else f" ({cross.tolerance:.4f})"
         cells = {
             "log": one_line(row.log),
             "verdict": record.verdict,
@@ -640,14 +641,13 @@ def parameters_table(record: Record, names: Mapping[str, str] | None = None) -> 
     rows: list[Cells] = []
     notes: list[Cells] = []
     for known in record.estimates[:_MAX_ROWS]:
-        parts = known.components
-        ends = [interval_words(one.interval95, "no reliable interval") for one in parts]
         name = (names or {}).get(known.name, known.name)
-        values = ", ".join(number_words(one.value) for one in parts)
-        said = ends[0] if known.interval95 is None else "; ".join(ends)
-        rows.append((quantity(name, known.unit), values, said))
         text = meaning(record, known)
-        notes.append((text,) if text else ())
+        for number, one in enumerate(known.components):
+            ends = interval_words(one.interval95, "no reliable interval")
+            axis = one.name.removeprefix(known.name).replace("_", " ")  # of a vector
+            rows.append((quantity(name + axis, known.unit), number_words(one.value), ends))
+            notes.append((text,) if text and not number else ())
     for name in record.motion.unknown[:_MAX_ROWS] if rows else ():
         rows.append((name, "not known", "-"))
         notes.append(("needs units that the log does not state",))
@@ -664,7 +664,7 @@ def remarks(record: Record) -> Items:
         lines.append("The intervals hold as far as the doubts above are unfounded.")
     lines += record.motion.unidentifiable
     cross, fit, same = record.cross_check, record.motion.fit, record.motion.equivalents
-    if cross is not None:
+    if cross is not None and cross.tells:
         said = f"A second estimate {'agrees' if cross.agrees else 'disagrees'}: {cross.value:.4f}"
         said += "" if cross.noise95 is None else f" ± {cross.noise95:.4f} by its noise alone"
         said += f", by {cross.method}"
@@ -849,13 +849,22 @@ def result_words(record: Record, preset: str, occasion: str | None) -> str:
         heads, *columns = zip(*last, strict=True)
         rows = [(title, *cells) for title, cells in zip(titles, columns, strict=True)]
         blocks += [Paragraph(said), TextTable(("k", *heads), rows)]
-    passed = [f"{check.name}: {check.detail}" for check in record.checks if check.passed]
-    blocks += [Paragraph("passed checks:"), Items(passed)] if passed else []
+    if record.checks:
+        passed = sum(check.passed for check in record.checks)
+        blocks.append(Paragraph(f"{passed} of {len(record.checks)} checks passed: see their tab."))
     warnings = list(record.warnings[:_MAX_WARNINGS])
     if len(record.warnings) > _MAX_WARNINGS:
         warnings.append(f"{len(record.warnings) - _MAX_WARNINGS} more warnings")
     blocks += [Items(warnings)] if warnings else []
     return markdown(blocks)
+
+
+def checks_words(record: Record) -> str:
+    """Format every check of a review, those that failed first."""
+    ordered = sorted(record.checks, key=lambda check: check.passed)
+    marks = {True: "✓", False: "✕"}
+    lines = [f"{marks[one.passed]} **{one.name}**: {one.detail}" for one in ordered]
+    return markdown([Heading("checks", 1), Items(lines)])
 
 
 # ---- Short names: of parameters in a review, as long as they stay distinct.

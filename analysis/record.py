@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import cache
+from html import escape
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
@@ -340,6 +341,17 @@ class Record:
     def estimate(self, name: str) -> Estimate | None:
         """Return the quantity of that name, or None."""
         return next((known for known in self.estimates if known.name == name), None)
+
+    def __repr__(self) -> str:
+        """Say verdict and values in one line."""
+        values = [
+            f"{part.name}={part.value:.6g}" for known in self.estimates for part in known.components
+        ]
+        return f"<{', '.join([f'{self.log}: {self.verdict}', *values])}>"
+
+    def _repr_html_(self) -> str:
+        said = f"{self.log}: {self.verdict}" + (f", {self.reason}" if self.reason else "")
+        return f"<p>{escape(said)}</p>{self.to_frame().to_html()}"
 
     def to_frame(self) -> pd.DataFrame:
         """Return the values as a table, one row per scalar, such as `payload_com_x`.

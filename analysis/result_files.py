@@ -39,6 +39,7 @@ _FORMS = {
     "json": rb'\{\n "made": "' + _MARK,
     "png": rb"\x89PNG\r\n\x1a\n.{29}tEXtSoftware\0" + _MARK,
     "pdf": rb".*/Creator \(" + _MARK,
+    "csv": rb"# " + _MARK,
 }
 
 # The beginning of a recording of ours: its identity, then what it is of.
@@ -57,7 +58,7 @@ _EXPORTED = re.compile(
     re.DOTALL,
 )
 
-Form = Literal["html", "json", "png", "pdf"]
+Form = Literal["html", "json", "png", "pdf", "csv"]
 # Names of logs by the first digits of their SHA-256, or by their names where nothing has those.
 Logs = Mapping[str, str]
 

@@ -1,4 +1,4 @@
-"""Write docs/api.md, docs/options.md and the tables of docs/checks.md: `python docs/make_api.py`.
+"""Write docs/api.md, docs/options.md and the lists of docs/checks.md: `python docs/make_api.py`.
 
 The first is made of the docstrings of `tunenet_logs`, the second of the options that it declares,
 the last of its tables of checks.
@@ -144,12 +144,14 @@ def _sections(entry: Any) -> Iterator[str]:
         return
     kind = getattr(import_module("tunenet_logs"), entry.name, None)
     options = options_in(kind) if isinstance(kind, type) and is_dataclass(kind) else {}
-    known |= {name: one.words for name, one in options.items()}
-    # Fields of a dataclass or keys of a TypedDict, with those that it inherits.
+    if options:
+        names = ", ".join(f"`{name}`" for name in options)
+        yield f"Fields, as [options.md](options.md) explains them: {names}"
+    # Other fields of a dataclass or keys of a TypedDict, with those that it inherits.
     rows: list[str] = []
     for name, member in {**entry.inherited_members, **entry.members}.items():
         is_method = member.is_function or "property" in member.labels
-        if member.is_attribute and not is_method and not name.startswith("_"):
+        if member.is_attribute and not (is_method or name.startswith("_") or name in options):
             text = known.get(name, "")
             rows.append(f"- `{name}` (`{member.annotation}`)" + (f": {text}" if text else ""))
     yield "\n".join(rows)
@@ -181,7 +183,7 @@ def options_page() -> str:
         parser: Parser = import_module(name).build_parser()
         for group in parser._action_groups:
             rows = [_row(action) for action in group._group_actions if action.option_strings]
-            if rows:
+            if rows and group.title != "of every command":
                 title = group.title if group.title != "options" else "what everybody needs"
                 head = "| option | in Python | does |\n| --- | --- | --- |\n"
                 parts += [f"## {parser.prog}: {title}", head + "\n".join(rows)]
@@ -197,35 +199,37 @@ def _row(action: argparse.Action) -> str:
     return f"| `{shown}` | {f'`{action.dest}`' if known else ''} | {text} |"
 
 
-# ---- The tables of checks
+# ---- The lists of checks
+
+_CHECK_LINES = re.compile(r"(?:^- \*\*.*\n)+", re.MULTILINE)
 
 
 def checks_page(text: str) -> str:
-    """The text of docs/checks.md, with the tables as the checks are."""
+    """The text of docs/checks.md, with its lists as the tables of checks are."""
     parts = re.split(r"(?m)^## (.*)$", text)
     for at in range(1, len(parts), 2):
         if specs := SECTIONS.get(parts[at]):
-            rows = "".join(_check_row(spec) + "\n" for spec in specs.values())
-            head = r"(\| check \|[^\n]*\n\|[- |]*\n)(?:\|[^\n]*\n)*"
-            parts[at + 1] = re.sub(head, lambda found, rows=rows: found[1] + rows, parts[at + 1])
+            lines = "".join(_check_line(spec) + "\n" for spec in specs.values())
+            parts[at + 1] = _CHECK_LINES.sub(lines.replace("\\", r"\\"), parts[at + 1])
         parts[at] = f"## {parts[at]}"
     return "".join(parts)
 
 
-def _check_row(spec: CheckSpec) -> str:
-    """Format a check: name, what it measures, what passes, if not, usual cause, what to do."""
+def _check_line(spec: CheckSpec) -> str:
+    """Format a check: name, verdict if not, what it measures, what passes, what to do."""
     sense, value, unit, _, worst = spec.limit
     limit = f"{value:g} {unit}".rstrip()
     usual = {"at least": "{} or more", "within": "at most {} either way"}.get(sense, "at most {}")
     passes = spec.passes.format(limit=f"{value:g}") or usual.format(limit)
-    doubt = "s" if spec.invalidates_interval else "i"
+    doubts = [] if spec.invalidates_interval else ["i"]
     beyond = "under" if sense == "at least" else "over"
     if worst is not None:
-        doubt = "r" if worst == value else f"{doubt}; r {beyond} {worst:g}"
-    advice = re.sub(r"<?--[a-z-]+>?", lambda option: f"`{option[0]}`", spec.advice)
+        doubts = ["r"] if worst == value else [*doubts, f"r {beyond} {worst:g}"]
+    if_not = spec.if_not or "; ".join(doubts)
+    advice = re.sub(r"<[^>]+>|--[a-z-]+", lambda option: f"`{option[0]}`", spec.advice)
     advice = re.sub(r"tunenet-\w+ .*", lambda command: f"`{command[0].replace('`', '')}`", advice)
-    cells = spec.name, spec.measures, passes, spec.if_not or doubt, spec.cause, advice
-    return f"| {' | '.join(cells)} |"
+    what = f"**{spec.name}** ({if_not})" if if_not else f"**{spec.name}**"
+    return f"- {what}: {spec.measures}, **{passes}**. {advice[0].upper()}{advice[1:]}."
 
 
 if __name__ == "__main__":

@@ -103,10 +103,12 @@ def _hold(client: ViewerClient, moment: float | None) -> None:
     state = client.get_state()
     if state.loading or state.active_recording is None:
         raise ValueError("it is still loading")
+    (recording,) = (one for one in state.recordings if one.store_id == state.active_recording)
+    if not recording.timelines:  # nothing in it moves
+        return
     if moment is None:
         client.set_time(play_state="paused")
         return
-    (recording,) = (one for one in state.recordings if one.store_id == state.active_recording)
     lines = {line.name: line for line in recording.timelines}
     line = lines[recording.current_timeline or ""]
     at = round((1 - moment) * (line.start or 0) + moment * (line.end or 0))

@@ -27,6 +27,7 @@ from tunenet_logs.terminal import Progress, one_line
 
 if TYPE_CHECKING:
     from tunenet_logs.episode import Episode
+    from tunenet_logs.recorders.simulators.arm.description import Arm
 
 
 @dataclass(frozen=True)
@@ -84,10 +85,11 @@ def _record_drop(arguments: argparse.Namespace, path: Path) -> str:
 
 
 def _record_payload(arguments: argparse.Namespace, path: Path) -> str:
-    from tunenet_logs.recorders.simulated import simulate_payload
+    from tunenet_logs.recorders.simulated import ordered_arm, simulate_payload
 
-    episode = simulate_payload(_payload_order(arguments))
-    written = _written(episode, path, arguments, "samples")
+    order = _payload_order(arguments)
+    episode = simulate_payload(order)
+    written = _written(episode, path, arguments, "samples", ordered_arm(order))
     held = "no payload" if arguments.is_empty else f"{episode.info.truth['payload_mass']:.4f} kg"
     return f"{held}, {written}"
 
@@ -134,7 +136,13 @@ def _record_shot(arguments: argparse.Namespace, path: Path) -> str:
     return f"restitution {truth['restitution']:.4f}, from {height_m:.3f} m, {outcome}, {written}"
 
 
-def _written(episode: Episode, path: Path, arguments: argparse.Namespace, what: str) -> str:
+def _written(
+    episode: Episode,
+    path: Path,
+    arguments: argparse.Namespace,
+    what: str,
+    arm: Arm | None = None,
+) -> str:
     """Record a simulated episode, and say by what engine and how much."""
     from tunenet_logs.recorders.session import record_episode
 
@@ -144,6 +152,7 @@ def _written(episode: Episode, path: Path, arguments: argparse.Namespace, what: 
         overwrite=arguments.overwrite,
         progress=Progress(quiet=arguments.quiet),
         min_free_bytes=round(arguments.min_free * 1e6),
+        arm=arm,
     )
     return f"by {episode.info.source}; {summary.in_words(what)}"
 
@@ -265,13 +274,18 @@ def build_parser() -> Parser:
         "udp address; a video file; or - for what another program writes",
     )
     source.add_argument(
+        "--list-cameras",
+        action="store_true",
+        help="list what is plugged in, with pictures",
+    )
+    source.add_argument(
         "--simulate", choices=["drop", "payload", "bounce-shot"], help="what to simulate"
     )
     source.add_argument(
         "--joint-states",
         action="append",
         metavar="TOPIC",
-        help="a ROS 2 topic of JointState or Kinova's JointAngles; several with commas",
+        help="a ROS 2 topic of JointState; several with commas",
     )
     source.add_argument(
         "--outcome", choices=["success", "failure"], help="how an attempt of the hardware ended"
@@ -320,6 +334,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = build_parser()
 
     def record(arguments: argparse.Namespace) -> int:
+        if arguments.list_cameras:
+            from tunenet_logs.recorders.camera.device import list_cameras
+
+            print("\n".join(map(one_line, list_cameras())))
+            return 0
         path, source = arguments.output, arguments.simulate or "joints"
         if arguments.camera is not None or arguments.outcome:
             source = "outcome" if arguments.outcome else "camera"

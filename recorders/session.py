@@ -21,12 +21,14 @@ from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 from numpy.typing import ArrayLike
 
 from tunenet_logs import messages
-from tunenet_logs.copying import JOINT_PARTS, joint_topics
+from tunenet_logs.copying import joint_states, joint_topics
 from tunenet_logs.episode import Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.messages import CAMERA_TOPIC
+from tunenet_logs.recorders.simulators.arm.description import Arm
 from tunenet_logs.terminal import Progress
 from tunenet_logs.timing.stamps import Gap, now_ns
+from tunenet_logs.writing.drawn import DrawnBall
 from tunenet_logs.writing.writer import EpisodeWriter
 
 # ---- Start and end: half-made objects, signals to stop, the summary
@@ -102,10 +104,19 @@ def stop_flag() -> Iterator[threading.Event]:
 
 
 def record_episode(
-    episode: Episode, path: Path, *, overwrite: bool, progress: Progress, min_free_bytes: int = 0
+    episode: Episode,
+    path: Path,
+    *,
+    overwrite: bool,
+    progress: Progress,
+    min_free_bytes: int = 0,
+    arm: Arm | None = None,
 ) -> Summary:
-    """Record positions, joints and pictures of a simulated episode as if from sensors."""
-    samples = list(_samples(episode))
+    """Record positions, joints and pictures of a simulated episode as if from sensors.
+
+    An `arm` that moves in it is drawn.
+    """
+    samples = list(_samples(episode, arm))
     total = len(samples) + sum(channel.messages for channel in episode.channels)
     write_frame = partial(EpisodeWriter.write_frame, topic=CAMERA_TOPIC)
     with (
@@ -126,29 +137,26 @@ def record_episode(
     return Summary(writer.accepted, writer.written, writer.accepted - writer.written, ended)
 
 
-def _samples(episode: Episode) -> Iterator[Callable[[EpisodeWriter], None]]:
-    """Yield a writer call for each position and joint state, topic by topic."""
+def _samples(episode: Episode, arm: Arm | None) -> Iterator[Callable[[EpisodeWriter], None]]:
+    """Yield a writer call for each position and joint state, topic by topic, and what draws it."""
     joints = joint_topics(episode)
     of_joints = {id(part) for parts in joints.values() for part in parts.values()}
+    radius_m = episode.info.rig.get("ball_diameter_m", 0.0) / 2
+    is_drop = episode.info.kind == "drop" and bool(episode.info.truth)  # over a table at z = 0
     for topic, positions in episode.signals.items():
         if id(positions) not in of_joints:
-            write = partial(EpisodeWriter.write_pose, topic=topic)
+            ball = DrawnBall(topic, radius_m, stands_on_table=is_drop)
             for stamp_ns, at_m in zip(positions.stamps_ns.tolist(), positions.values, strict=True):
-                yield partial(write, stamp_ns=stamp_ns, position_m=at_m)
+                yield partial(ball.write, stamp_ns=stamp_ns, position_m=at_m)
     for topic, parts in joints.items():
-        first = next(iter(parts.values()))
-        write = partial(EpisodeWriter.write_joints, topic=topic, names=first.columns)
-        for row, stamp_ns in enumerate(first.stamps_ns.tolist()):
-            position, velocity, effort = (
-                parts[part].values[row] if part in parts else () for part in JOINT_PARTS
-            )
-            yield partial(
-                write,
-                stamp_ns=stamp_ns,
-                position_rad=position,
-                velocity_rad_s=velocity,
-                effort_nm=effort,
-            )
+        for _, _, write in joint_states(topic, parts):
+            yield write
+    if arm is not None:
+        from tunenet_logs.recorders.simulators.arm.drawn import drawn_arm
+
+        topic, parts = next(iter(joints.items()))
+        for _, _, write in drawn_arm(arm, topic, parts["position"]):
+            yield write
 
 
 # ---- Queue: from the receiving threads to the writing one

@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
-from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -63,7 +62,8 @@ settings.register_profile("thorough", max_examples=500, deadline=None)
 settings.load_profile("suite")
 
 # By a command's name, the module of its `main`.
-MODULES = dict(one.args for one in vars(commands).values() if isinstance(one, partial))
+MODULES = {f"tunenet-{verb}": module for verb, (module, _) in commands.VERBS.items()}
+del MODULES["tunenet-docs"]  # a word after `tunenet` alone
 COMMANDS = tuple(MODULES)
 
 

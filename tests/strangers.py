@@ -145,7 +145,9 @@ def without_chunks(source: Path, path: Path, *, chunks: bool = False, crcs: bool
             assert schema is not None
             if channel.id not in channels:
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, "cdr", number)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, "cdr", number, dict(channel.metadata)
+                )
             writer.add_message(
                 channels[channel.id], message.log_time, message.data, message.publish_time
             )

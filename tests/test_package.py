@@ -113,6 +113,7 @@ def test_commands_of_the_wheel_work(installed: Path, project: Path):
 
 def test_the_wheel_holds_every_file_once(installed: Path):
     wanted = {module_path(path) for name in FOLDERS for path in files(ROOT / name)}
+    wanted |= {Path(PACKAGE, "docs", path.name) for path in (ROOT / "docs").glob("*.md")}
     held = {path.relative_to(installed) for path in files(installed)}
     about = {path for path in held if path.parts[0] == "bin" or path.parts[0].endswith("-info")}
     assert held - about == wanted

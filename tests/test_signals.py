@@ -196,7 +196,7 @@ def send(process: subprocess.Popen[str], number: int) -> None:
 
 
 @pytest.mark.parametrize("number", WORDS)
-@pytest.mark.parametrize("name", SCRIPTS)
+@pytest.mark.parametrize("name", sorted(SCRIPTS.keys() - {"tunenet"}))  # that begins another
 def test_each_command_ends_with_one_line(tmp_path: Path, name: str, number: int):
     module, function = SCRIPTS[name].split(":")
     code = DISTURBED.format(number=int(number), module=module, function=function)

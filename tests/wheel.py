@@ -23,7 +23,7 @@ def module_path(path: Path) -> Path:
 def built_wheel(folder: Path) -> Path:
     """Build it in this folder, without network: setuptools is installed."""
     compiled = shutil.ignore_patterns("__pycache__")
-    for name in FOLDERS:  # the links stay links, as in a clone
+    for name in (*FOLDERS, "docs"):  # the links stay links, as in a clone
         shutil.copytree(ROOT / name, folder / "tree" / name, symlinks=True, ignore=compiled)
     for name in ("pyproject.toml", "README.md", "LICENSE", "THIRD_PARTY.md"):
         shutil.copy(ROOT / name, folder / "tree")

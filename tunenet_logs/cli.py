@@ -109,7 +109,7 @@ def build_parser() -> Parser:
             add(
                 "--json",
                 action="store_true",
-                help="for scripts: one JSON object a log, each on a line of its own (docs/logs.md)",
+                help="for scripts: one JSON object a log, each on a line (tunenet docs logs)",
             )
         else:
             is_needed = name == "recover"

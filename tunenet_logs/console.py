@@ -277,11 +277,12 @@ class Parser(argparse.ArgumentParser):
         codes = f"exit codes: 0~{ended}, 1~{failed}, 2~wrong usage, 130~Ctrl-C"
         self._codes = fill(codes, 80, subsequent_indent="  ").replace("~", " ")
         self._topics, self._called, self._examples = topics or {}, called, examples
+        self._about = description
         self._groups_of: dict[str, dict[str, argparse._ArgumentGroup]] = {}
         super().__init__(
             prog=prog,
-            description=description,
-            epilog=f"examples:\n{examples}\n\n{self._codes}",
+            description=f"{description}\n\nexamples:\n{examples}",
+            epilog=self._codes,
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
             add_help=not self._topics,
@@ -306,7 +307,7 @@ class Parser(argparse.ArgumentParser):
                 action=_Print,
                 text_of=_completion,
                 choices=SHELLS,
-                help="print a script that has a shell complete this command (docs/commands.md)",
+                help="print a script by which a shell completes it (tunenet docs commands)",
             )
 
     def topic(self, name: str, title: str = "") -> argparse._ArgumentGroup:
@@ -327,13 +328,12 @@ class Parser(argparse.ArgumentParser):
         if name == _ALL or not self._topics:
             every = [self._examples, *(one.examples for one in self._topics.values())]
             lines = "\n".join(dict.fromkeys("\n".join(every).splitlines()))
-            self.epilog = f"examples:\n{lines}\n\n{self._codes}"
+            self.description = f"{self._about}\n\nexamples:\n{lines}"
             return super().format_help()
         if name is not None and name not in self._topics:
             known = ", ".join((*self._topics, _ALL))
             raise UsageError(f"--help {short_name(name)}: is no topic; choose one of: {known}")
         formatter = self._get_formatter()
-        examples = self._examples
         if name is None:
             formatter.add_usage(f"%(prog)s {self._called}", self._actions, [])
             formatter.add_text(self.description)
@@ -343,7 +343,8 @@ class Parser(argparse.ArgumentParser):
             shown = [(one.title, one._group_actions) for one in groups]
             shown.append(("options", [action for one in own for action in one._group_actions]))
         else:
-            examples = self._topics[name].examples
+            if examples := self._topics[name].examples:
+                formatter.add_text(f"examples:\n{examples}")
             groups = self._groups_of.get(name, {})
             shown = [(title, one._group_actions) for title, one in groups.items()]
         for title, actions in shown:
@@ -353,9 +354,6 @@ class Parser(argparse.ArgumentParser):
         if name is None:
             rows = "\n".join(f"  {one:12}{topic.title}" for one, topic in self._topics.items())
             formatter.add_text(f"topics, for --help TOPIC (or {_ALL}):\n{rows}")
-        if examples:
-            formatter.add_text(f"examples:\n{examples}")
-        if name is None:
             formatter.add_text(self._codes)
         return formatter.format_help()
 
@@ -381,7 +379,12 @@ class Parser(argparse.ArgumentParser):
             before = words[at - 2] if at > 1 else ""
             action = self._option_string_actions.get(before)
             if action is None or action.nargs is not None or extra[0].startswith("-"):
-                self.error(f"unrecognized arguments: {' '.join(extra)}")
+                from difflib import get_close_matches
+
+                word = extra[0].partition("=")[0]
+                known = get_close_matches(word, self._option_string_actions, 1, 0.75)
+                meant = f"; did you mean {known[0]}?" if known else ""
+                self.error(f"unrecognized arguments: {' '.join(extra)}{meant}")
             is_many, what = isinstance(action, argparse._AppendAction), action.metavar or "value"
             again = f"; write {before} before each" if is_many else ""
             self.error(f"{before} takes one {what}, and {extra[0]} was not expected{again}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import heapq
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -45,7 +45,7 @@ from tunenet_logs.formats.base import (
 )
 from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.registry import file_bytes, open_log
-from tunenet_logs.messages import INFO_RECORD, RECOVERY_RECORD, compressed
+from tunenet_logs.messages import INFO_RECORD, RECOVERY_RECORD, SHOWS, compressed, is_info
 from tunenet_logs.reader import (
     is_impacts,
     notes_of,
@@ -119,7 +119,7 @@ def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> 
 
 JOINT_PARTS = ("position", "velocity", "effort")  # how the signals of a topic of joints end
 # Messages of one topic in order: stamp, topic, and what writes it.
-_TopicMessages = Iterator[tuple[int, str, Callable[[EpisodeWriter], None]]]
+TopicMessages = Iterator[tuple[int, str, Callable[[EpisodeWriter], None]]]
 _DRIVES = "a command or a force, which stays in the log that is imported: tune a model from that"
 _AT_ONCE = 10_000  # samples of joints that are prepared at a time
 _NAME_ANOTHER = "name a log that does, or say which column is which with --columns"
@@ -236,7 +236,7 @@ def _why_nothing(path: Path, episode: Episode, unheard: list[str]) -> str:
 
 def _signal_streams(
     episode: Episode, topics: _Topics, said: dict[str, str]
-) -> Iterator[_TopicMessages]:
+) -> Iterator[TopicMessages]:
     """Yield the messages of each signal; `said` gets the notes on what they cannot say."""
     for name, signal in episode.signals.items():
         if signal.is_position or is_impacts(signal):
@@ -248,7 +248,7 @@ def _signal_streams(
         topic = topics.claim(name)
         for part, signal in parts.items():
             said |= notes_of(signal, f"{topic}.{part}")
-        yield _joint_states(topic, parts)
+        yield joint_states(topic, parts)
 
 
 def joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
@@ -261,7 +261,7 @@ def joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
     return joints
 
 
-def _poses(topic: str, signal: Signal, turns: Signal | None) -> _TopicMessages:
+def _poses(topic: str, signal: Signal, turns: Signal | None) -> TopicMessages:
     still = np.tile(messages.NOT_TURNED, (len(signal.values), 1))
     quaternions = still if turns is None else turns.values
     rows = zip(signal.stamps_ns.tolist(), signal.values, quaternions, strict=True)
@@ -270,7 +270,7 @@ def _poses(topic: str, signal: Signal, turns: Signal | None) -> _TopicMessages:
         yield stamp_ns, topic, partial(write, stamp_ns=stamp_ns, position_m=position_m, turn=turn)
 
 
-def _impacts(topic: str, signal: Signal) -> _TopicMessages:
+def _impacts(topic: str, signal: Signal) -> TopicMessages:
     """Yield a header for each: nothing is known of an impact but its time."""
     write = partial(EpisodeWriter.write_message, topic=topic, type_name=messages.HEADER)
     for stamp_ns in signal.stamps_ns.tolist():
@@ -278,7 +278,7 @@ def _impacts(topic: str, signal: Signal) -> _TopicMessages:
         yield stamp_ns, topic, partial(write, stamp_ns=stamp_ns, data=data)
 
 
-def _joint_states(topic: str, parts: dict[str, Signal]) -> _TopicMessages:
+def joint_states(topic: str, parts: dict[str, Signal]) -> TopicMessages:
     """Yield messages of every joint that a part has, at every stamp of a part.
 
     Parts that came in the same messages have the same stamps and joints; those of a table need not.
@@ -330,13 +330,13 @@ def _sounds(episode: Episode) -> tuple[list[Sound], list[str]]:
     return heard, unheard
 
 
-def _blocks(sound: Sound, topic: str) -> _TopicMessages:
+def _blocks(sound: Sound, topic: str) -> TopicMessages:
     write = partial(EpisodeWriter.write_sound, topic=topic, rate_hz=round(sound.rate_hz))
     for stamp_ns, pcm in sound_blocks(sound):
         yield stamp_ns, topic, partial(write, stamp_ns=stamp_ns, pcm=pcm)
 
 
-def _pictures(episode: Episode, topic: str, topics: _Topics) -> _TopicMessages:
+def _pictures(episode: Episode, topic: str, topics: _Topics) -> TopicMessages:
     """Yield the pictures of one topic; bare and compressed ones are messages of two types."""
     encodings = {channel.topic: channel.encoding for channel in episode.channels}
     targets: dict[bool, str] = {}
@@ -402,14 +402,12 @@ def _copied(writer: Writer, path: Path, container: Container) -> Recovered:
     losses: list[Loss] = []
     schemas: dict[tuple[str, str, bytes], int] = {}
     channels: dict[RawChannel, int] = {}
-    info: Mapping[str, str] = {}
+    info: dict[str, str] = {}
     count = beyond = 0
     holds_ros1 = is_started = False
     for record in _records(path, container, losses):
         if not is_started:
-            profile = (
-                "ros2" if isinstance(record, RawMetadata) and record.name == INFO_RECORD else ""
-            )
+            profile = "ros2" if isinstance(record, RawMetadata) and is_info(record.name) else ""
             if isinstance(record, RawChannel):
                 profile = {"cdr": "ros2", "ros1": "ros1"}.get(record.encoding, "")
             writer.start(profile, f"tunenet-logs {__version__}")
@@ -423,11 +421,12 @@ def _copied(writer: Writer, path: Path, container: Container) -> Recovered:
                 continue
             channel = channels[record.channel]
             writer.add_message(channel, log_ns, data, publish_ns, record.sequence)
-            count += 1
+            count += SHOWS not in record.channel.metadata
             holds_ros1 |= record.channel.encoding == "ros1"
         elif isinstance(record, RawMetadata):
             writer.add_metadata(record.name, dict(record.values))
-            info = record.values if record.name == INFO_RECORD else info
+            if is_info(record.name):
+                info |= record.values
         elif isinstance(record, RawAttachment):
             writer.add_attachment(
                 record.create_ns, record.log_ns, record.name, record.media_type, record.data
@@ -441,7 +440,7 @@ def _copied(writer: Writer, path: Path, container: Container) -> Recovered:
     known = EpisodeInfo.from_strings(info)
     if info and "written" not in known.counts:
         known = known.ended("the recording did not end by itself", written=count)
-        writer.add_metadata(INFO_RECORD, known.to_strings())
+        writer.add_metadata(f"{INFO_RECORD}/recovered", known.news(info))
     words = {"from": path.name, "messages": str(count)}
     words[SHARE_NOTE] = f"{lost_share(losses, count, file_bytes(path)):.6f}"
     words |= {f"lost.{number}": text for number, text in enumerate(lost[:100])}

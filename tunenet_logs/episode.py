@@ -194,6 +194,10 @@ class EpisodeInfo:
                 record[f"{group}.{key}"] = value if isinstance(value, str) else repr(value)
         return record
 
+    def news(self, told: Mapping[str, str]) -> dict[str, str]:
+        """Return the part of that record which is not `told` yet."""
+        return {key: one for key, one in self.to_strings().items() if told.get(key) != one}
+
     @classmethod
     def from_strings(cls, record: Mapping[str, str]) -> EpisodeInfo:
         """Parse that record; what is not understood or not finite is left out."""

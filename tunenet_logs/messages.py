@@ -69,6 +69,10 @@ JOINT_ANGLES = "kinova_msgs/msg/JointAngles"
 TASK_OUTCOME = "tunenet_msgs/msg/TaskOutcome"
 COMPRESSED_VIDEO = "foxglove_msgs/msg/CompressedVideo"
 RAW_AUDIO = "foxglove_msgs/msg/RawAudio"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+NUMBERS = "std_msgs/msg/Float64MultiArray"
+TEXT = "std_msgs/msg/String"
 # How Kinova defines JointAngles, JointTorque and JointVelocity.
 SEVEN_JOINTS = "\n".join(f"float32 joint{number}" for number in range(1, 8))
 # How we define TaskOutcome: what the hardware did in one attempt; [m], NaN where not known.
@@ -109,7 +113,11 @@ AUDIO_TOPIC = "/audio"  # where sound goes, and what that of a file goes by
 OUTCOME_TOPIC = "/task/outcome"  # where what the hardware did goes
 # The metadata record of a recovered log that says what was lost.
 RECOVERY_RECORD = "tunenet/recovery"
-INFO_RECORD = "tunenet/episode"  # the metadata record of a log that holds its EpisodeInfo
+# The metadata record of a log that holds its EpisodeInfo. What became known since is in others by
+# the names "tunenet/episode/...", since viewers warn of records that share one.
+INFO_RECORD = "tunenet/episode"
+# The key of a channel's metadata that names the topic which it draws for viewers.
+SHOWS = "shows"
 # The types that no distribution of ROS defines.
 _DEFINITIONS = {
     JOINT_ANGLES: SEVEN_JOINTS,
@@ -117,6 +125,11 @@ _DEFINITIONS = {
     COMPRESSED_VIDEO: VIDEO_FIELDS,
     RAW_AUDIO: AUDIO_FIELDS,
 }
+
+
+def is_info(record_name: str) -> bool:
+    """Return whether a metadata record of that name holds EpisodeInfo, or a later part of it."""
+    return record_name == INFO_RECORD or record_name.startswith(f"{INFO_RECORD}/")
 
 
 @cache
@@ -156,12 +169,69 @@ NOT_TURNED = (0.0, 0.0, 0.0, 1.0)  # the quaternion x, y, z, w of no rotation
 def pose(stamp_ns: int, frame_id: str, position_m: ArrayLike, turn: ArrayLike = NOT_TURNED) -> Any:
     """Build a PoseStamped at `position_m`, shape (3,), with a quaternion x, y, z, w."""
     x, y, z = np.asarray(position_m, np.float64).tolist()
-    a, b, c, w = np.asarray(turn, np.float64).tolist()
     placed = _type("geometry_msgs/msg/Pose")(
-        position=_type("geometry_msgs/msg/Point")(x=x, y=y, z=z),
-        orientation=_type("geometry_msgs/msg/Quaternion")(x=a, y=b, z=c, w=w),
+        position=_type("geometry_msgs/msg/Point")(x=x, y=y, z=z), orientation=_quaternion(turn)
     )
     return _type(POSE)(header=header(stamp_ns, frame_id), pose=placed)
+
+
+def _quaternion(turn: ArrayLike) -> Any:
+    x, y, z, w = np.asarray(turn, np.float64).tolist()
+    return _type("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w)
+
+
+def transform(
+    stamp_ns: int, parent: str, child: str, origin_m: ArrayLike, turn: ArrayLike = NOT_TURNED
+) -> Any:
+    """Build a TransformStamped of the frame `child` in `parent`; see `pose`."""
+    x, y, z = np.asarray(origin_m, np.float64).tolist()
+    return _type("geometry_msgs/msg/TransformStamped")(
+        header=header(stamp_ns, parent),
+        child_frame_id=child,
+        transform=_type("geometry_msgs/msg/Transform")(
+            translation=_type("geometry_msgs/msg/Vector3")(x=x, y=y, z=z),
+            rotation=_quaternion(turn),
+        ),
+    )
+
+
+def transforms(each: Sequence[Any]) -> Any:
+    """Build a TFMessage of several `transform`s."""
+    return _type(TRANSFORMS)(transforms=list(each))
+
+
+def point_cloud(
+    stamp_ns: int, frame_id: str, points_m: ArrayLike, rgb: tuple[int, int, int]
+) -> Any:
+    """Build a PointCloud2 of points of one colour, shape (N, 3) [m]."""
+    places = np.asarray(points_m, "<f4")
+    red, green, blue = rgb
+    rows = np.zeros(len(places), [("xyz", "<f4", 3), ("rgb", "<u4")])
+    rows["xyz"], rows["rgb"] = places, (red << 16) | (green << 8) | blue
+    field = _type("sensor_msgs/msg/PointField")
+    fields = [field(name=name, offset=4 * at, datatype=7, count=1) for at, name in enumerate("xyz")]
+    return _type(POINT_CLOUD)(
+        header=header(stamp_ns, frame_id),
+        height=1,
+        width=len(rows),
+        fields=[*fields, field(name="rgb", offset=12, datatype=7, count=1)],
+        is_bigendian=False,
+        point_step=rows.itemsize,
+        row_step=rows.nbytes,
+        data=np.frombuffer(rows.tobytes(), np.uint8),
+        is_dense=True,
+    )
+
+
+def numbers(values: ArrayLike) -> Any:
+    """Build a Float64MultiArray, shape (N,)."""
+    layout = _type("std_msgs/msg/MultiArrayLayout")(dim=[], data_offset=0)
+    return _type(NUMBERS)(layout=layout, data=np.asarray(values, np.float64))
+
+
+def text(words: str) -> Any:
+    """Build a std_msgs/String."""
+    return _type(TEXT)(data=words)
 
 
 def raw_audio(stamp_ns: int, pcm: NDArray[np.int16], rate_hz: int) -> Any:

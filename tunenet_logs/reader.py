@@ -70,7 +70,7 @@ from tunenet_logs.formats.message_types import message_type_of
 from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.images import FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE
 from tunenet_logs.media_messages import checked, frames_of, in_order, sound_of
-from tunenet_logs.messages import HEADER, INFO_RECORD, RECOVERY_RECORD
+from tunenet_logs.messages import HEADER, RECOVERY_RECORD, SHOWS, is_info
 from tunenet_logs.signals import (
     MAX_NUMBERS,
     JointRows,
@@ -288,6 +288,8 @@ class TopicContents:
     def _read_by_type(self, plan: ReadingPlan) -> None:
         """Read by the channel's type, or by the shape of its messages; else UnusableError."""
         channel, kind, topic = self.channel, self._type, self.channel.topic
+        if SHOWS in channel.metadata:
+            raise UnusableError(UNUSED)
         if kind is None and channel.encoding in ENCODINGS:
             shape = shape_messages(channel, plan.decoders)
             if shape is None:
@@ -543,7 +545,7 @@ def read_episode(
         said = (*jump_warnings(found), *unused_reading(path, found, options, registry.open_log))
         return replace(found, warnings=(*found.warnings, *said))
     losses: list[Loss] = []
-    info: Mapping[str, str] = {}  # what the log says of itself
+    info: dict[str, str] = {}  # what the log says of itself
     share = 0.0  # of it, that was lost before it was recovered
     plan = ReadingPlan(path, options, most_numbers)
     by_channel: dict[RawChannel, TopicContents] = {}
@@ -562,11 +564,13 @@ def read_episode(
                 if topic is None or topic.channel.schema != record.schema:
                     topic = last[key] = TopicContents(record, plan)
                 by_channel[record] = topic
-            elif isinstance(record, RawMetadata) and record.name == INFO_RECORD:
-                info = dict(record.values)
+            elif isinstance(record, RawMetadata) and is_info(record.name):
+                info |= record.values
             elif isinstance(record, RawMetadata) and record.name == RECOVERY_RECORD:
                 share = share_of_note(record.values)
-        topics = list(dict.fromkeys(by_channel.values()))  # each once, in the order of the log
+        # Each once, in the order of the log, without those that draw another for viewers.
+        every = dict.fromkeys(by_channel.values())
+        topics = [one for one in every if SHOWS not in one.channel.metadata]
         for topic in topics:
             topic.finish()
     except OSError as error:

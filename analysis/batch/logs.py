@@ -297,7 +297,7 @@ def log_address(named: str) -> Address:
     if address.password is not None and address.url.startswith(("gs", "gcs", "az", "abfs")):
         raise UsageError(
             f"{address}: a login in such an address is not read; its library finds your keys "
-            "(docs/scale.md)"
+            "(tunenet docs scale)"
         )
     return address
 

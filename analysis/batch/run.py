@@ -60,7 +60,8 @@ from tunenet_logs.analysis.record import (
     to_json,
 )
 from tunenet_logs.analysis.result_files import known_sha256, review_of, tuning_of, writable
-from tunenet_logs.analysis.review.tuning import write_overview, write_review
+from tunenet_logs.analysis.review.ledger import write_overview
+from tunenet_logs.analysis.review.tuning import write_review
 from tunenet_logs.analysis.tuning import provenance_of, tune_log
 from tunenet_logs.console import is_stdout, print_traceback
 from tunenet_logs.errors import LogError, UsageError, WeightsError

@@ -49,9 +49,10 @@ def build_parser() -> Parser:
     add(
         "--to",
         required=True,
+        type=lambda name: "sdf" if name == "gazebo" else name,
         choices=sorted(FORMATS),
         metavar="ENGINE",
-        help=f"one of {', '.join(sorted(FORMATS))}",
+        help=f"one of {', '.join(sorted(FORMATS))} (gazebo is sdf)",
     )
     add("-o", "--output", type=Path, metavar="FILE", help="default: NAME.ENGINE.* beside it")
     add("--overwrite", action="store_true", help="replace exports of other logs")

@@ -6,12 +6,16 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tunenet_logs.analysis.options import jobs_option
 from tunenet_logs.analysis.registry import needed
 from tunenet_logs.console import Parser, run
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import Progress, one_line
+
+if TYPE_CHECKING:
+    from tunenet_logs.analysis.report.page import Kind
 
 _DESCRIPTION = """\
 One page of what was tuned, with everything in it: no network, under 3 MB. The verdict
@@ -25,13 +29,15 @@ beside NAME.json; where it is not there, the page says so.
 
 --png and --pdf write the figures for a paper, a column wide: a name with the suffix gets
 the main one (curves; torques; of several tunings the comparison), a folder all of them.
+--csv writes observed and simulated curves, of an arm those of its torques.
 Needs matplotlib and Jinja2: pip install 'tunenet-logs[report]'."""
 
 _EXAMPLES = """\
   tunenet-report drop.json -o drop.html
   tunenet-report results/ -o results.html
   tunenet-report campaign/ -o campaign.html
-  tunenet-report drop.json --pdf figures/"""
+  tunenet-report drop.json --pdf figures/
+  tunenet-report drop.json --csv drop_curves.csv"""
 
 
 def build_parser() -> Parser:
@@ -42,6 +48,7 @@ def build_parser() -> Parser:
     add("-o", "--output", type=Path, metavar="REPORT.html", help="page to write")
     add("--png", type=Path, metavar="FILE_OR_FOLDER", help="figures as PNG, 300 dpi")
     add("--pdf", type=Path, metavar="FILE_OR_FOLDER", help="figures as PDF, fonts within")
+    add("--csv", type=Path, metavar="FILE_OR_FOLDER", help="curves by time, a file a tuning")
     add("--overwrite", action="store_true", help="replace results of other logs")
     jobs_option(parser, "drops of a campaign at a time")
     add("--quiet", action="store_true", help="no progress bar")
@@ -54,8 +61,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    if not (arguments.output or arguments.png or arguments.pdf):
-        raise UsageError("say what to write: -o REPORT.html, --png or --pdf")
+    figures: dict[Kind, Path | None] = {
+        "png": arguments.png,
+        "pdf": arguments.pdf,
+        "csv": arguments.csv,
+    }
+    if not (arguments.output or any(figures.values())):
+        raise UsageError("say what to write: -o REPORT.html, --png, --pdf or --csv")
     needed("matplotlib", "report")
     needed("jinja2", "report")
     from tunenet_logs.analysis.report.page import write_report
@@ -63,7 +75,7 @@ def _report(arguments: argparse.Namespace) -> int:
     written = write_report(
         arguments.places,
         arguments.output,
-        {"png": arguments.png, "pdf": arguments.pdf},
+        figures,
         Progress(quiet=arguments.quiet),
         lambda text: print(one_line(f"tunenet-report: {text}"), file=sys.stderr),
         jobs=arguments.jobs,

@@ -7,14 +7,14 @@ _NEXT = "at the next drop:"
 # How a good drop looks: for recordings in which there is nothing like one.
 GOOD_DROP = (
     f"{_NEXT} let the ball fall from rest, from 0.3 to 2 m, onto a hard floor, in view until it "
-    "lies still (docs/camera.md)"
+    "lies still (tunenet docs camera)"
 )
 
 LONGER = f"{_NEXT} record until the ball lies still, all bounces in view"
 
 FILM_MORE = (
     f"{_NEXT} film fall and bounces at 60 pictures a second or more, all in view, until the ball "
-    "lies still (docs/camera.md)"
+    "lies still (tunenet docs camera)"
 )
 
 LET_GO = f"{_NEXT} let go of the ball at rest, and touch it no more"

@@ -91,6 +91,12 @@ class BallDrop:
     motion = staticmethod(tuned_motion)
     cross_check = staticmethod(flight_cross_check)
 
+    def example(self, stream: rr.RecordingStream) -> rrb.View | None:
+        """Draw the heights of a good drop."""
+        from tunenet_logs.analysis.drop.review.rejected import log_good_drop
+
+        return log_good_drop(stream)
+
     def rebounds(self, detection: Any, trace: Trace) -> tuple[Rebound, ...]:
         """List the impacts that the fit tells apart, else the first by the tuned restitution."""
         if trace.fit is not None and trace.fit.detail:
@@ -137,7 +143,8 @@ class DropFromPositions(BallDrop):
             seen = listed(types, 2)  # it is one line
             raise NotFoundError(
                 f"no channel with a ball's position or with pictures (channels: {seen or 'none'})",
-                "record one of them, or say which column is which with --columns (docs/formats.md)",
+                "record one of them, or say which column is which with --columns "
+                "(tunenet docs formats)",
             )
         reasons: list[tuple[str, NotFoundError]] = []
         found: DropDetection | None = None
@@ -529,6 +536,8 @@ class DropFromTimes:
         if tuning.detection is None or tuning.trace is None:
             return log_refused_times(stream, tuning) or log_refused_sound(stream, tuning)
         return log_times(stream, tuning)
+
+    example = BallDrop.example
 
 
 def _check_height(height_m: float | None) -> None:

@@ -33,24 +33,21 @@ PAYLOAD = table(
         "long enough",
         at_least(3, "s", ".1f .0f", fatal=1),
         seen="{value} s of torques with their motion",
-        measures="the duration of the torques with their motion",
-        cause="the recording began too late",
+        measures="duration of torques and motion",
         advice="record 5 s of one smooth motion",
     ),
     CheckSpec(
         "the arm moves",
         at_least(0.3, "rad", ".2f g"),  # less is hidden by friction and offsets
         seen="the joint that moves most turns by {value} rad",
-        measures="the motion of the joint that moves most",
-        cause="the arm stands still",
+        measures="largest motion of a joint",
         advice="move all joints by half a turn or so, the payload far out to the side",
     ),
     CheckSpec(
         "every torque changes",
         at_most(0),
-        measures="joints whose torque is constant; they are left out",
+        measures="joints whose torque is constant, which are left out",
         passes="none",
-        cause="a sensor is missing",
         advice="check that the driver measures the torque of every joint",
     ),
     CheckSpec(
@@ -58,8 +55,7 @@ PAYLOAD = table(
         at_least(8, "Hz"),
         seen="positions are new at {log.position.rate_hz:.0f} Hz, torques at "
         "{log.effort.rate_hz:.0f} Hz",
-        measures="the rate of new positions and of new torques",
-        cause="the driver is at its slowest",
+        measures="rate of new positions and torques",
         advice="raise the driver's rate",
     ),
     CheckSpec(
@@ -67,23 +63,20 @@ PAYLOAD = table(
         at_most(70, "%"),
         seen="{value} % of the samples repeat the one before, rests aside",
         measures="samples that repeat the one before, rests aside",
-        cause="the recorder is faster than its driver",
         advice="record at the rate at which the driver measures",
     ),
     CheckSpec(
         "no gaps",
         at_most(0.3, "s", ".2f g"),
         seen="longest time without a new sample {value} s",
-        measures="the longest time without a new sample, rests aside",
-        cause="the machine did not keep up, or the driver was stuck",
+        measures="longest time without a new sample, rests aside",
         advice="record on a machine that keeps up, or a shorter part with --start and --end",
     ),
     CheckSpec(
         "speeds are an arm's",
         at_most(150, "%"),
         seen="{joint} moves at {value} % of its highest speed",
-        measures="each joint's speed beside its highest",
-        cause="degrees are taken for rad, bad stamps, another arm",
+        measures="each joint's speed over its highest",
         advice="check the unit of the positions and the stamps, or name the arm with --urdf",
     ),
     CheckSpec(
@@ -92,9 +85,8 @@ PAYLOAD = table(
         seen="correlation {value} with the positions' derivatives",
         wanted="wanted: over {limit}",
         more=", {factor:.2f} times them; they are not used",
-        measures="the correlation of the driver's velocities, which are not used, with the "
-        "positions' derivatives",
-        cause="positions and velocities are on different clocks",
+        measures="correlation of the driver's velocities (not used) with the positions' "
+        "derivatives",
         advice="check that positions are stamped when they are measured",
     ),
     CheckSpec(
@@ -102,11 +94,9 @@ PAYLOAD = table(
         at_most(3, "%", ".1f .0f", fatal=_LOST_PERCENT),
         seen="{lost}{value} % of what the joints are built for are left, rms",
         more="; torques change by {spread:.1f} %",
-        measures="the torques that are left (rms); a good fit leaves a sensor's noise, half a "
-        "percent",
+        measures="torques that are left, half a percent in a good fit (rms)",
         passes="at most {limit} % of what the joints are built for",
-        if_not="s; r over 8, or where no arm explains the torques",
-        cause="another arm, another unit, torques of other joints",
+        if_not="r over 8, or where no arm explains the torques",
         advice="check that torques and positions are of the same joints, in N·m, and the arm "
         f"(--arm, --urdf); {_TILT_ADVICE}",
     ),
@@ -118,10 +108,9 @@ PAYLOAD = table(
         at_least(15),
         seen="{meant}",
         wanted="log evidence {value} over {others}; wanted: {limit} or more",
-        measures="the log evidence of what the driver means by torque, over the next convention; "
-        "of a stated one over any other",
+        measures="log evidence of what the driver means by torque over the next convention, of a "
+        "stated one over any other",
         passes="{limit} or more; of a stated one -10",
-        cause="the payload is too light, or moved too little; what was stated is wrong",
         advice="say it with --gravity and --effort-sign, or move the payload far out to the side, "
         "so that its weight shows",
     ),
@@ -129,16 +118,14 @@ PAYLOAD = table(
         "lag",
         within(100, "ms"),  # drivers' filters are faster: more is two clocks
         seen="torques are {value} ms behind the positions",
-        measures="how far the torques are behind the positions",
-        cause="stamps are not those of the measurement",
+        measures="lag of the torques behind the positions",
         advice="stamp positions and torques with one clock, when they are measured",
     ),
     CheckSpec(
         "friction and sensors are usual",
         at_most(8, "prior standard deviations", ".1f .0f"),
         seen="{term.name} is {term.value:+.3g}, {value} times what is usual",
-        measures="the most unusual term of friction, sensors and links",
-        cause="sensors were not set to zero, the base is not level",
+        measures="most unusual term of friction, sensors and links",
         advice="set the torque sensors to zero in the candle pose, and check the arm (--urdf)",
     ),
     CheckSpec(
@@ -147,9 +134,8 @@ PAYLOAD = table(
         seen="{lost}{signed_kg:.3f} kg",
         wanted="0 or more",
         more="; {joint} at {value} % of its highest torque",
-        measures="each torque beside its joint's limit; and how far the mass is below 0",
+        measures="each torque over its joint's limit; how far the mass is below 0",
         passes="at most {limit} %; at most 4 standard deviations",
-        cause="the arm's model is wrong",
         advice="check the arm's model (--arm, --urdf), and its zero with a --tare",
     ),
     CheckSpec(
@@ -157,20 +143,18 @@ PAYLOAD = table(
         at_most(15, "%", ".1f .0f"),  # a simulated arm has no friction and no offsets
         seen="measured and simulated torques differ by {value} % of what the joints are built for, "
         "rms, friction and offsets included",
-        measures="the measured less the simulated torques, friction and all (rms)",
+        measures="measured less simulated torques, friction and all (rms)",
         passes="at most {limit} % of what the joints are built for",
-        cause="`--preset paper` on a real arm",
         advice="use the preset default, or check the arm (--urdf)",
     ),
     CheckSpec(
         "sure enough",
         at_most(3, "kg", ".3f .2f"),
         seen="95 % interval of ±{value} kg",
-        measures="half of the 95 % interval of the mass",
+        measures="half the 95 % interval of the mass",
         passes="at most {limit} % of what the arm weighs (0.16 kg for a Jaco) or 10 % of the "
-        "payload, whichever is more",
-        if_not="s; r over 40 % of what the arm weighs",
-        cause="no tare; a motion that carries little information",
+        "payload, if more",
+        if_not="r over 40 % of what the arm weighs",
         advice=f"{_TARE_ADVICE}; with one, {_LONGER_ADVICE}",
     ),
 )

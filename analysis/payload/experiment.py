@@ -286,6 +286,10 @@ class PayloadExperiment:
         del detection, trace
         return ()
 
+    def example(self, stream: rr.RecordingStream) -> rrb.View | None:  # noqa: ARG002
+        """Return None: any smooth motion will do."""
+        return None
+
     def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
         """See `Experiment.review`."""
         if tuning.detection is None:

@@ -82,8 +82,8 @@ def payload_review_data(tuning: Tuning) -> PayloadReviewData:
     if fit is not None:
         # As the observed torques are drawn: with the arm's weight in them.
         effort_nm = (fit.predicted_nm + found.effort_nm - fit.effort_nm)[kept]
-        label = "fit, with friction"
-        fitted = TorqueCurve("fit", label, draw.FITTED, draw.BOLD, fit.held.mass_kg, effort_nm)
+        label = "result, with friction"
+        fitted = TorqueCurve("fit", label, draw.RESULT, draw.BOLD, fit.held.mass_kg, effort_nm)
     steps = tuning.trace.steps if tuning.trace else ()
     simulated: list[TorqueCurve] = []
     for k, step in enumerate(steps):
@@ -95,7 +95,8 @@ def payload_review_data(tuning: Tuning) -> PayloadReviewData:
             TorqueCurve(
                 name=name,
                 label=f"{name}  {mass_kg:.4f} kg",
-                color=draw.ramp(k, len(steps)),
+                # Warmest of all is the result: of a fit, the curve with friction.
+                color=draw.ramp(k, len(steps) + (fit is not None)),
                 width=draw.BOLD if is_last else draw.FINE,
                 mass_kg=mass_kg,
                 effort_nm=step.evaluation.episode.signals[EFFORT].values[kept],
@@ -243,7 +244,7 @@ def _log_payload(
 ) -> None:
     """Log a ball in the tool frame, its mass `label_m` above it, and its path."""
     result, at_m = data.simulated[-1], np.array(data.com_m)
-    color = result.color if data.has_estimate else draw.MUTED
+    color = draw.RESULT if data.has_estimate else draw.MUTED
     ball = rr.Ellipsoids3D(
         centers=[at_m], half_sizes=[[radius_m] * 3], colors=[color], fill_mode="solid"
     )
@@ -372,7 +373,7 @@ def _log_chart(
     reach = _CHART_HEADROOM * max(float(np.abs(ends).max()), TWO_SIDED * float(priors.max()), 1e-9)
     count = len(terms[0])
     x, marks = _joint_marks(count)
-    rows = [(-0.5 - value / (2 * reach), f"{value:g}") for value in draw.ticks(-reach, reach, 2)]
+    rows = [(-0.5 - value / (2 * reach), f"{value:g}") for value in draw.ticks(-reach, reach, 3)]
     draw.log_grid(stream, sheet, draw.WIDTH, rows, marks)
     half = _BAR * draw.WIDTH / count
     boxes = rr.Boxes2D(
@@ -390,10 +391,10 @@ def _log_chart(
     for at, bottom, top in zip(across.tolist(), low.tolist(), high.tolist(), strict=True):
         strips.append([[at, bottom], [at, top]])
         strips += [[[at - cap, end], [at + cap, end]] for end in (bottom, top)]
-    draw.log_strips(stream, f"{sheet}/intervals", strips, [draw.FITTED], 0.9)
+    draw.log_strips(stream, f"{sheet}/intervals", strips, [draw.RESULT], 0.9)
     dots = np.column_stack([across, -0.5 - values.ravel() / (2 * reach)])
     size = 3.5 if len(terms) == 1 else 2.5
-    draw.log_dots(stream, f"{sheet}/values", dots, [draw.FITTED], size, 40.0)
+    draw.log_dots(stream, f"{sheet}/values", dots, [draw.RESULT], size, 40.0)
 
 
 def _log_felt(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
@@ -415,7 +416,7 @@ def _log_felt(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
     if data.fitted is not None:
         rms_nm = np.sqrt(np.mean((data.fitted.effort_nm - data.observed_nm) ** 2, axis=0))
         dots = np.column_stack([x, -np.minimum(rms_nm / top, 1.0)])
-        draw.log_dots(stream, "sheets/felt/left", dots, [draw.FITTED], 4.0, 40.0)
+        draw.log_dots(stream, "sheets/felt/left", dots, [draw.RESULT], 4.0, 40.0)
 
 
 def _joint_marks(count: int) -> tuple[Array, list[tuple[float, str]]]:
@@ -428,7 +429,7 @@ def _joint_marks(count: int) -> tuple[Array, list[tuple[float, str]]]:
 # ---- Plots of the torques, sheets of one iteration, and the layout of all
 
 # Joints that the first tab has room for, so that their axes have ticks; the others have a tab.
-_PLAYED = 4
+_PLAYED = 3
 
 
 def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
@@ -441,7 +442,12 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     entries.append(("rigid arm, by iteration", [curve.color for curve in data.simulated]))
     if data.fitted is not None:
         entries.append((data.fitted.label, [data.fitted.color]))
-    key = draw.log_key(stream, entries)
+
+    def with_key(*views: rrb.View, columns: int, name: str = "") -> rrb.Container:
+        grid = rrb.Grid(*views, grid_columns=columns)
+        key = draw.log_key(stream, entries)
+        return rrb.Vertical(key, grid, row_shares=draw.KEY_SHARES, name=name or None)
+
     arm = log_arm(stream, data)
     mass = draw.log_iterates(
         stream,
@@ -482,8 +488,8 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     terms = log_terms(stream, data)
     overlay = rrb.Horizontal(
         arm,
-        rrb.Vertical(key, rrb.Grid(*torques[:_PLAYED], grid_columns=2), row_shares=draw.KEY_SHARES),
-        rrb.TextDocumentView(origin="/result", name="result"),
+        with_key(*torques[:_PLAYED], columns=1),  # wide enough for ticks of time
+        draw.result_view(),
         column_shares=[3.6, 6, 4.6],
         name=f"overlay (timeline {draw.LOG_TIME})",
     )
@@ -491,15 +497,15 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         rrb.Grid(*sheets, grid_columns=2 if len(sheets) > 3 else 1),
         rrb.Vertical(step, mass),
         column_shares=[5, 4],
-        name=f"scrub (timeline {draw.ITERATION})",
+        name=draw.SCRUB,
     )
     others = rrb.Grid(*terms, grid_columns=3, name="what else is in the torques")
     name = f"what is left (timeline {draw.LOG_TIME})"
     # Of three columns titles and ticks fit on a laptop's screen.
-    tabs = [overlay, rrb.Grid(*residuals, grid_columns=3, name=name), scrub, others]
+    tabs = [overlay, with_key(*residuals, columns=3, name=name), scrub, others]
     if len(torques) > _PLAYED:
         name = f"other joints (timeline {draw.LOG_TIME})"
-        tabs.insert(1, rrb.Grid(*torques[_PLAYED:], grid_columns=2, name=name))
+        tabs.insert(1, with_key(*torques[_PLAYED:], columns=2, name=name))
     return rrb.Tabs(*tabs, active_tab=0)
 
 

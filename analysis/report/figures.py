@@ -20,7 +20,14 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
-from tunenet_logs.analysis.campaign import reduced, strobe
+from tunenet_logs.analysis.campaign import (
+    Campaign,
+    ball_rates,
+    overall_rates,
+    reduced,
+    restitutions_by_ball,
+    strobe,
+)
 from tunenet_logs.analysis.compare import (
     ComparedGroup,
     ComparedValue,
@@ -335,9 +342,7 @@ def values_drawing(comparison: Comparison, group: ComparedGroup) -> Drawing | No
         names = [str(numbers[label]) for label in labels]
         if index % columns == 0:
             names = [f"{drawable(label, 22)}  {numbers[label]}" for label in labels]
-        axes.set_yticks(range(len(labels)), names)
-        axes.set_ylim(len(labels) - 0.5, -0.5)
-        axes.grid(visible=False, axis="y")
+        _named_rows(axes, names)
         axes.set_title(drawable(quantity(one.name, one.unit)), pad=3)
         values = [value.value for value in one.values]
         ends = f"from {min(values):.4f} to {max(values):.4f}"
@@ -353,6 +358,59 @@ def comparison_drawings(comparison: Comparison) -> list[Drawing]:
     drawings = [overlay_drawing(comparison)]
     drawings += [values_drawing(comparison, group) for group in comparison.groups]
     return [drawing for drawing in drawings if drawing is not None]
+
+
+# ---- Campaign: outcomes, and restitutions by ball.
+
+
+@styled
+def campaign_drawings(campaign: Campaign) -> list[Drawing]:
+    """Plot success rates with their intervals, and each ball's restitutions."""
+    rates = [
+        one
+        for one in (*overall_rates(campaign.attempts), *ball_rates(campaign.attempts))
+        if one.count
+    ][:20]
+    balls = restitutions_by_ball(campaign.attempts)[:20]
+    drawings: list[Drawing] = []
+    if rates:
+        figure = new_figure(COLUMN_IN, 0.55 + 0.22 * len(rates))
+        axes = figure.subplots()
+        for row, rate in enumerate(rates):
+            axes.plot([100 * end for end in rate.interval95], [row, row], color=SERIES[2])
+            axes.plot([100 * rate.fraction], [row], "o", color=SERIES[2], markersize=4)
+            if rate.published is not None:
+                axes.plot([100 * rate.published], [row], "|", color=MUTED, markersize=9)
+        names = [f"{drawable(rate.name, 22)}  {rate.successes}/{rate.count}" for rate in rates]
+        _named_rows(axes, names)
+        axes.set_xlim(-2, 102)
+        axes.set_xlabel("success [%]")
+        caption = "Success with 95 % intervals (Wilson); grey marks: TuneNet's paper."
+        alt = "; ".join(f"{rate.name} {100 * rate.fraction:.0f} %" for rate in rates)
+        drawings.append(Drawing("outcomes", "Outcomes", caption, alt, figure))
+    if balls:
+        figure = new_figure(COLUMN_IN, 0.55 + 0.26 * len(balls))
+        axes = figure.subplots()
+        for row, ball in enumerate(balls):
+            count = len(ball.values)
+            places = row + 0.3 * (np.arange(count) - (count - 1) / 2) / max(count - 1, 1)
+            for place, value, ends in zip(places, ball.values, ball.intervals95, strict=True):
+                if ends is not None:
+                    axes.plot(ends, [place, place], color=SERIES[1], linewidth=0.9)
+                axes.plot([value], [place], "o", color=SERIES[1], markersize=3)
+        _named_rows(axes, [drawable(ball.name, 22) for ball in balls])
+        axes.set_xlabel("coefficient of restitution")
+        caption = "Each drop's restitution with its 95 % interval."
+        alt = "; ".join(f"{ball.name} {ball.mean:.4f}" for ball in balls)
+        drawings.append(Drawing("balls", "Restitution by ball", caption, alt, figure))
+    return drawings
+
+
+def _named_rows(axes: Axes, names: Sequence[str]) -> None:
+    """Name the rows of a chart, the first on top."""
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.grid(visible=False, axis="y")
 
 
 # ---- Filmed ball: a strobe image and single frames, with the track.

@@ -55,6 +55,7 @@ from tunenet_logs.analysis.report.figures import (
     WIDE_IN,
     Drawing,
     bounces_drawing,
+    campaign_drawings,
     comparison_drawings,
     curves_drawing,
     frames_drawing,
@@ -65,6 +66,7 @@ from tunenet_logs.analysis.report.figures import (
 )
 from tunenet_logs.analysis.result_files import Logs, check_place, in_words, logs_of, mark, marked
 from tunenet_logs.analysis.review.drawing import ReviewedLog, read_back
+from tunenet_logs.episode import Array
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.files import real_path
 from tunenet_logs.terminal import Progress, short_name
@@ -88,7 +90,7 @@ def campaign_blocks(campaign: Campaign) -> list[Block]:
     for ball in restitutions_by_ball(attempts):
         sd = f"{ball.sd:.4f}" if len(ball.values) > 1 else "-"
         balls.append((ball.name, f"{ball.mean:.4f}", sd, str(len(ball.values))))
-    blocks: list[Block] = [Heading("Campaign", 2)]
+    blocks: list[Block] = []
     if rates:
         heads = ("attempts", "successes", "rate", "95 % interval (Wilson)")
         blocks += [Heading("Success"), TextTable(heads, rows=rates, title="success rates")]
@@ -137,7 +139,7 @@ def _attempt_row(attempt: Attempt) -> Cells:
 
 # ---- Rendering: a figure to bytes for a page, or to a file for a paper.
 
-Kind = Literal["png", "pdf"]
+Kind = Literal["png", "pdf", "csv"]  # of what is written beside a page
 
 
 class DataUri(str):
@@ -265,7 +267,7 @@ class Reported:
 
     title: str | None  # of the page; None for that of its tunings
     tunings: Sequence[TuningFile]  # in their order
-    campaign: Sequence[Block] = ()  # whose outcomes are among the files; none without
+    campaign: Campaign | None = None  # whose outcomes are among the files
 
 
 def write_report(
@@ -302,7 +304,7 @@ def write_report(
         known = dict.fromkeys(drop.tuning for drop in drops if drop.tuning is not None)
         tunings = read_tunings(list(known), warn) if known else ()
         tunings = sorted(tunings, key=lambda one: natural(one.label))
-        reported = Reported(title, tunings, campaign_blocks(campaign))
+        reported = Reported(title, tunings, campaign)
     logs = logs_of(one.record for one in reported.tunings)
     place = page and page_place(page, logs, overwrite=overwrite)
     if place:
@@ -311,22 +313,55 @@ def write_report(
     for kind, figure in figures.items():
         if figure is not None:
             taken = marked(kind, _FIGURE, logs), in_words(logs), f"give --{kind} another file"
-            drawn = _drawn(figure, kind, reported.tunings)
-            files = [
-                (OutputPlace(path, "figure", *taken, overwrite, asked_by), drawing)
-                for path, drawing in drawn.items()
-            ]
-            for file, _ in files:
-                check_place(file, f"--{kind}", (f".{kind}",), inputs)
+
+            def figure_place(path: Path, taken: Any = taken, kind: Kind = kind) -> OutputPlace:
+                knows, whose, elsewhere = taken
+                place = OutputPlace(path, "figure", knows, whose, elsewhere, overwrite, asked_by)
+                check_place(place, f"--{kind}", (f".{kind}",), inputs)
+                return place
+
+            if figure.suffix.lower() == f".{kind}" and not figure.is_dir():
+                figure_place(figure)  # before anything is drawn
+            drawn = _drawn(figure, kind, reported)
+            files = [(figure_place(path), drawing) for path, drawing in drawn.items()]
             for file, drawing in files:
                 with file.replacing() as partial:
-                    write_figure(drawing.figure, partial, kind, mark(_FIGURE, logs))
+                    if isinstance(drawing, str):
+                        partial.write_text(f"# {mark(_FIGURE, logs)}\n{drawing}", "utf-8")
+                    else:
+                        write_figure(drawing.figure, partial, kind, mark(_FIGURE, logs))
             written += drawn
     if place:
         with place.replacing() as partial:
             partial.write_text(report_page(reported), "utf-8")
         written.insert(0, place.path)
     return written
+
+
+def curves_csv(record: Record, seen: ReviewedLog) -> str:
+    """Format observed and simulated curves by time; "" without any.
+
+    Of a ball its heights [m], of an arm the torques of its joints [N·m], as its review has them.
+    """
+    curves = record.motion.curves
+    columns: dict[str, Array] = {}
+    if curves is not None:
+        columns = {
+            "seconds": curves.seconds,
+            "observed_m": curves.observed_m,
+            "simulated_m": curves.simulated_m,
+        }
+    for one in seen.torques:
+        columns["seconds"] = one.seconds
+        parts = {"observed": one.observed_nm, "rigid": one.simulated_nm, "fitted": one.fitted_nm}
+        columns |= {
+            f"joint_{one.joint}_{name}_nm": it for name, it in parts.items() if it is not None
+        }
+    if not columns:
+        return ""
+    import pandas as pd
+
+    return pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
 
 
 # ---- Page: render its blocks by a template.
@@ -353,6 +388,11 @@ def report_page(reported: Reported) -> str:
     detailed = tunings[:24]  # tunings with a part of their own on a page; the overview has all
     compared: list[Block | EmbeddedFigures] = []
     left = _MAX_BYTES - 12_000 * len(detailed)  # of the words of one tuning, usually
+    campaign: list[Block | EmbeddedFigures] = []
+    if reported.campaign is not None:
+        figures, _ = figures_within(campaign_drawings(reported.campaign), 300_000)
+        left -= sum(len(source) for _, source, _ in figures.drawn)
+        campaign = [Heading("Campaign", 2), figures, *campaign_blocks(reported.campaign)]
     if len(tunings) > 1:
         labels = [one.label for one in tunings]
         compared, taken = _compared(compare([one.record for one in tunings], labels))
@@ -367,7 +407,7 @@ def report_page(reported: Reported) -> str:
         mark=mark(PAGE, logs_of(one.record for one in tunings)),
         title=tunings[0].label if is_one else reported.title or facts[0],
         facts=facts,
-        blocks=[*reported.campaign, *([] if is_one else overview), *compared],
+        blocks=[*campaign, *([] if is_one else overview), *compared],
         tunings=parts,
         is_one=is_one,
     )
@@ -452,25 +492,36 @@ _FIGURE = "figure"  # kind of a figure, as its mark has it
 _MAX_TUNINGS = 100  # whose figures are written to one folder at a time
 
 
-def _drawn(place: Path, kind: Kind, tunings: Sequence[TuningFile]) -> dict[Path, Drawing]:
-    """Draw the main figure for a file with the kind's suffix, else all of them for a folder."""
+def _drawn(place: Path, kind: Kind, reported: Reported) -> dict[Path, Drawing | str]:
+    """Draw the main figure for a file with the kind's suffix, else all of them for a folder.
+
+    Of "csv": the curves of a tuning, as text.
+    """
+    tunings = reported.tunings
     if len(tunings) > _MAX_TUNINGS:
         raise UsageError(f"{len(tunings)} tunings: draw at most {_MAX_TUNINGS} at a time")
     is_folder = place.is_dir() and not place.is_symlink()
     is_file = place.suffix.lower() == f".{kind}" and not is_folder
     # Draw all figures of tunings and of their comparison, by the names of their files.
     compared_only = is_file and len(tunings) > 1
-    found: list[tuple[str, Drawing]] = []
-    for tuning in () if compared_only else tunings:
+    found: list[tuple[str, Drawing | str]] = []
+    if reported.campaign is not None and kind != "csv":
+        found += [("campaign", one) for one in campaign_drawings(reported.campaign)]
+    for tuning in () if compared_only and kind != "csv" else tunings:
         seen, _ = reviewed(tuning.record, tuning.path)
-        found += [(tuning.path.stem, one) for one in drawings_of(tuning.record, seen)]
-    if len(tunings) > 1:
+        if kind == "csv":
+            found += [(tuning.path.stem, one) for one in [curves_csv(tuning.record, seen)] if one]
+        else:
+            found += [(tuning.path.stem, one) for one in drawings_of(tuning.record, seen)]
+    if kind == "csv" and is_file and len(found) > 1:
+        raise UsageError(f"{place}: several tunings have curves; give --csv a folder")
+    if len(tunings) > 1 and kind != "csv":
         records = [tuning.record for tuning in tunings]
         comparison = compare(records, [tuning.label for tuning in tunings])
         found += [("comparison", one) for one in comparison_drawings(comparison)]
-    drawn: dict[str, Drawing] = {}
+    drawn: dict[str, Drawing | str] = {}
     for stem, drawing in found:
-        name = free = f"{stem}_{drawing.name}"
+        name = free = f"{stem}_{'curves' if isinstance(drawing, str) else drawing.name}"
         number = 1
         while free in drawn:  # two tunings may have the same
             number += 1

@@ -411,39 +411,14 @@ def attempt_words(attempt: Attempt) -> str:
 
 # ---- Charts of a whole campaign, a row per ball: success rates, and restitutions.
 
-# Widths of the chart, of the names left of it, and of the figures right of it, in its heights.
-_WIDTH, _NAMES, _FIGURES = 0.85, 0.42, 0.56
-_HANG = 0.03  # chart heights: half a line, by which Rerun hangs a label from its point
-_MAX_ROWS = 12  # whose names do not overlap on a small screen; the tables have all
-_HALF_ROW = 0.3  # half of what marks take up of a row: the rest keeps rows apart
-
-
-@dataclass(frozen=True)
-class _RowAxes:
-    """Layout of a chart's rows, from top to bottom, and range of its axis."""
-
-    count: int
-    low: float
-    high: float
-
-    def y(self, row: int) -> float:
-        return -1 + (row + 0.5) / self.count
-
-    def x(self, value: float) -> float:
-        return (value - self.low) / (self.high - self.low) * _WIDTH
-
-    @property
-    def pitch(self) -> float:
-        return 1 / self.count
-
 
 def log_rates(stream: rr.RecordingStream, every: Sequence[Rate]) -> rrb.View:
     """Log each success rate with its Wilson interval, and the paper's."""
-    title = f"success rates{_cut(len(every))}, bars: 95 % (Wilson), violet: the paper's"
-    every = every[:_MAX_ROWS]
-    rows = _RowAxes(len(every), 0.0, 1.0)
+    title = f"success rates{_cut(len(every))}, bars: 95 % (Wilson), violet: TuneNet's paper"
+    every = every[: draw.MAX_ROWS]
+    rows = draw.RowAxes(len(every), 0.0, 1.0)
     sheet = "sheets/rates"
-    _log_frame(
+    draw.log_frame(
         stream,
         sheet,
         rows,
@@ -457,29 +432,29 @@ def log_rates(stream: rr.RecordingStream, every: Sequence[Rate]) -> rrb.View:
         for row, rate in counted
     ]
     color = draw.mixed(draw.SUCCESS, 0.45)
-    _log_bars(stream, f"{sheet}/intervals", intervals, rows.pitch * 0.16, color)
+    draw.log_bars(stream, f"{sheet}/intervals", intervals, rows.pitch * 0.16, color)
     dots = [(rows.x(rate.fraction), rows.y(row)) for row, rate in counted]
     draw.log_dots(stream, f"{sheet}/shares", dots, [draw.SUCCESS], 4.0, 20.0)
-    half = _HALF_ROW * rows.pitch
+    half = draw.HALF_ROW * rows.pitch
     strips = [
         [[rows.x(rate.published), rows.y(row) + end] for end in (-half, half)]
         for row, rate in enumerate(every)
         if rate.published is not None
     ]
     draw.log_strips(stream, f"{sheet}/published", strips, [(190, 150, 255)], 1.5, 18.0)
-    return _rows_view("rates", title)
+    return rows.view("rates", title)
 
 
 def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitutions]) -> rrb.View:
     """Log each attempt's restitution, and each ball's mean and standard deviation."""
     title = f"restitution by ball{_cut(len(balls))}: each attempt with its 95 %, band: mean ± sd"
-    balls = balls[:_MAX_ROWS]
+    balls = balls[: draw.MAX_ROWS]
     ends = [value for ball in balls for value in ball.values]
     ends += [end for ball in balls for pair in ball.intervals95 if pair for end in pair]
     low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
     # With a span under .1 noise would look like a difference between balls.
     more = max(0.0, 0.1 - (high - low)) / 2 + 0.05 * (high - low)
-    rows = _RowAxes(max(1, len(balls)), low - more, high + more)
+    rows = draw.RowAxes(max(1, len(balls)), low - more, high + more)
     sheet = "sheets/spreads"
     marks = [(value, f"{value:.6g}") for value in draw.ticks(rows.low, rows.high, 5)]
     figures = [
@@ -488,42 +463,33 @@ def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitution
         else f"{ball.mean:.4f} ± {ball.sd:.4f} ({len(ball.values)})"
         for ball in balls
     ]
-    _log_frame(stream, sheet, rows, marks, [ball.name for ball in balls], figures)
+    draw.log_frame(stream, sheet, rows, marks, [ball.name for ball in balls], figures)
     deviations = [
         (rows.y(row), rows.x(ball.mean - ball.sd), rows.x(ball.mean + ball.sd))
         for row, ball in enumerate(balls)
         if not isnan(ball.sd)
     ]
-    thick = 2 * _HALF_ROW * rows.pitch
-    _log_bars(stream, f"{sheet}/deviation", deviations, thick, draw.mixed(_TUNED, 0.2))
+    thick = 2 * draw.HALF_ROW * rows.pitch
+    draw.log_bars(stream, f"{sheet}/deviation", deviations, thick, draw.mixed(_TUNED, 0.2))
     dots: list[tuple[float, float]] = []
     bars: list[list[list[float]]] = []
     for row, ball in enumerate(balls):
         steps = max(1, len(ball.values) - 1)
         for index, (value, pair) in enumerate(zip(ball.values, ball.intervals95, strict=True)):
-            y = rows.y(row) + (index / steps - 0.5) * 2 * 0.8 * _HALF_ROW * rows.pitch
+            y = rows.y(row) + (index / steps - 0.5) * 2 * 0.8 * draw.HALF_ROW * rows.pitch
             dots.append((rows.x(value), y))
             if pair is not None:
                 bars.append([[rows.x(end), y] for end in pair])
     draw.log_strips(stream, f"{sheet}/intervals", bars, [_TUNED], 0.7, 15.0)
     draw.log_dots(stream, f"{sheet}/values", dots, [_TUNED], 2.2, 20.0)
     if not balls:
-        draw.log_labels(stream, f"{sheet}/words", [[_WIDTH / 2, -0.5]], ["no drop was tuned"])
-    return _rows_view("spreads", title)
+        draw.log_labels(stream, f"{sheet}/words", [[rows.width / 2, -0.5]], ["no drop was tuned"])
+    return rows.view("spreads", title)
 
 
 def _cut(count: int) -> str:
     """Say how many rows the chart has if not all."""
-    return "" if count <= _MAX_ROWS else f" (the first {_MAX_ROWS} of {count})"
-
-
-def _rows_view(name: str, title: str) -> rrb.View:
-    bounds = rrb.VisualBounds2D(
-        x_range=(-_NAMES - 0.05, _WIDTH + _FIGURES + 0.05), y_range=(-1.04, 0.16)
-    )
-    return rrb.Spatial2DView(
-        origin=f"/sheets/{name}", name=title, background=draw.GROUND, visual_bounds=bounds
-    )
+    return "" if count <= draw.MAX_ROWS else f" (the first {draw.MAX_ROWS} of {count})"
 
 
 def _rate_words(rate: Rate) -> str:
@@ -534,40 +500,6 @@ def _rate_words(rate: Rate) -> str:
         f"{rate.successes}/{rate.count} = {100 * rate.fraction:.0f} % "
         f"({100 * low:.0f} to {100 * high:.0f})"
     )
-
-
-def _log_frame(
-    stream: rr.RecordingStream,
-    sheet: str,
-    rows: _RowAxes,
-    marks: Sequence[tuple[float, str]],
-    names: Sequence[str],
-    figures: Sequence[str],
-) -> None:
-    """Log grid lines at the marks, names on the left, figures on the right."""
-    grid = [[[rows.x(value), -1.0], [rows.x(value), 0.0]] for value, _ in marks]
-    draw.log_strips(stream, f"{sheet}/grid", grid, [draw.GRID], 0.5)
-    labels = [([rows.x(value), 0.02], text) for value, text in marks]
-    for row, (name, figure) in enumerate(zip(names, figures, strict=True)):
-        # As many as fit left of the chart
-        labels.append(([-_NAMES / 2, rows.y(row) - _HANG], short_name(name, 15)))
-        labels.append(([_WIDTH + _FIGURES / 2, rows.y(row) - _HANG], figure))
-    colors = [draw.MUTED] * len(marks) + [draw.OBSERVED] * (2 * len(names))
-    places, texts = [place for place, _ in labels], [text for _, text in labels]
-    draw.log_labels(stream, f"{sheet}/labels", places, texts, colors)
-
-
-def _log_bars(
-    stream: rr.RecordingStream,
-    entity: str,
-    bars: Sequence[tuple[float, float, float]],
-    thick: float,
-    color: draw.Color,
-) -> None:
-    """Log filled bars, each as (y, left, right)."""
-    half = thick / 2
-    boxes = [(left, max(right, left + 0.004), y - half, y + half) for y, left, right in bars]
-    draw.log_filled(stream, entity, boxes, color, 5.0)
 
 
 # ---- Lanes: drop, tuning and outcome of each attempt as state timelines.

@@ -81,8 +81,10 @@ _RAMP: tuple[Color, ...] = (
     (160, 205, 60),
     (255, 165, 40),
 )
+RESULT = _RAMP[-1]  # what the values of the tuning give
 LOG_TIME = "log_time_s"  # the timeline that plays: seconds since the log's first sample
 ITERATION = "iteration"  # the timeline that is scrubbed: k of the tuning
+SCRUB = f"scrub (timeline {ITERATION}, to be chosen below)"  # the name of its tab
 
 
 def ramp(k: int, count: int) -> Color:
@@ -187,6 +189,15 @@ def log_strips(
     """Log lines of a 2D view; `size` is half their width [points]."""
     lines = rr.LineStrips2D(strips, colors=colors, radii=screen_radius(size), draw_order=order)
     stream.log(entity, lines, static=True)
+
+
+def result_view(*, has_checks: bool = True) -> rrb.View | rrb.Container:
+    """Return the pane of a review's words: the result, and behind a tab every check."""
+    result = rrb.TextDocumentView(origin="/result", name="result")
+    if not has_checks:
+        return result
+    checks = rrb.TextDocumentView(origin="/checks", name="checks")
+    return rrb.Tabs(result, checks, active_tab=0)
 
 
 def log_words(stream: rr.RecordingStream, entity: str, words: str) -> None:
@@ -363,6 +374,82 @@ def log_iterates(
     current = f"{sheet}/current"
     log_by_iteration(stream, current, ring, first_s, rr.Points2D.columns, positions=dots)
     return chart_view(chart, title)
+
+
+# ---- Charts of rows: names on the left, figures on the right, and a value in between.
+
+# Widths of the names left of a chart, and of the figures right of it, in its heights.
+_NAMES, _FIGURES = 0.42, 0.56
+MAX_ROWS = 12  # whose names do not overlap on a small screen; the tables have all
+HALF_ROW = 0.3  # half of what marks take up of a row: the rest keeps rows apart
+
+
+@dataclass(frozen=True)
+class RowAxes:
+    """Layout of a chart's rows, from top to bottom, and range of its axis."""
+
+    count: int
+    low: float
+    high: float
+    width: float = 0.85  # of the chart without names and figures, in its heights
+    hang: float = 0.03  # half a line, by which Rerun hangs a label from its point, likewise
+
+    def y(self, row: int) -> float:
+        """Height of a row's middle."""
+        return -1 + (row + 0.5) / self.count
+
+    def x(self, value: float) -> float:
+        """Place of a value on the axis."""
+        return (value - self.low) / (self.high - self.low) * self.width
+
+    @property
+    def pitch(self) -> float:
+        """Height of a row."""
+        return 1 / self.count
+
+    def view(self, name: str, title: str) -> rrb.View:
+        """Return the view of the chart `name`."""
+        across = (-_NAMES - 0.05, self.width + _FIGURES + 0.05)
+        return rrb.Spatial2DView(
+            origin=f"/sheets/{name}",
+            name=title,
+            background=GROUND,
+            visual_bounds=rrb.VisualBounds2D(x_range=across, y_range=(-1.04, 0.16)),
+        )
+
+
+def log_frame(
+    stream: rr.RecordingStream,
+    sheet: str,
+    rows: RowAxes,
+    marks: Sequence[tuple[float, str]],
+    names: Sequence[str],
+    figures: Sequence[str],
+) -> None:
+    """Log grid lines at the marks, names on the left, figures on the right."""
+    grid = [[[rows.x(value), -1.0], [rows.x(value), 0.0]] for value, _ in marks]
+    log_strips(stream, f"{sheet}/grid", grid, [GRID], 0.5)
+    labels = [([rows.x(value), 0.02], text) for value, text in marks]
+    for row, (name, figure) in enumerate(zip(names, figures, strict=True)):
+        # As many letters as fit left of the chart.
+        texts = (-_NAMES / 2, short_name(name, 15)), (rows.width + _FIGURES / 2, figure)
+        labels += [([x, rows.y(row) - rows.hang], text) for x, text in texts if text]
+    colors = [MUTED] * len(marks) + [OBSERVED] * (len(labels) - len(marks))
+    places, texts = [place for place, _ in labels], [text for _, text in labels]
+    log_labels(stream, f"{sheet}/labels", places, texts, colors)
+
+
+def log_bars(
+    stream: rr.RecordingStream,
+    entity: str,
+    bars: Sequence[tuple[float, float, float]],
+    thick: float,
+    color: Color,
+) -> None:
+    """Log filled bars, each as (y, left, right)."""
+    half = thick / 2
+    boxes = [(left, max(right, left + 0.004), y - half, y + half) for y, left, right in bars]
+    log_filled(stream, entity, boxes, color, 5.0)
 
 
 # ---- Curves over the log's time, and the same ones of one iteration at a time.

@@ -1,4 +1,4 @@
-"""Reviews in Rerun: of one tuning, of a ledger of many, and of a plan's shots.
+"""Reviews in Rerun: of one tuning, and of a plan's shots.
 
 In a tuning's, all that moves is on the log's time, so that one play button moves the balls and the
 cursors together. A view shows only what is on the active timeline, so what is drawn for each
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,13 +16,12 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rerun.blueprint.components import AbsoluteTimeRange
 
 from tunenet_logs.analysis.checks import Verdict
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.planning import Plan, ball_lines, best_lines
-from tunenet_logs.analysis.presentation import result_words, said_names
+from tunenet_logs.analysis.presentation import checks_words, result_words, said_names
 from tunenet_logs.analysis.record import Record
 from tunenet_logs.analysis.result_files import review_name, subject_of
 from tunenet_logs.analysis.review import drawing as draw
@@ -31,187 +29,6 @@ from tunenet_logs.episode import Array
 from tunenet_logs.files import real_path
 from tunenet_logs.recorders.simulators.shot import STEP_S
 from tunenet_logs.terminal import one_line, short_name
-
-# ---- Overview of a ledger: estimates with their intervals, outliers, reasons.
-# Each timeline is an order of the logs: as tuned, by an estimate, by its uncertainty. Choosing one
-# sorts the curves; the table has its own choice, in the selection panel.
-
-Columns = Mapping[str, Sequence[Any]]
-_AS_TUNED = "as_tuned"  # the timeline of the logs as they were tuned
-_POINT_COLORS = {"ok": (80, 200, 120), "suspect": (240, 170, 50), "rejected": (230, 80, 80)}
-_END = (130, 130, 150)  # of intervals
-_TABLES = ("table/log", "table/numbers")  # entities of the table's columns, from left to right
-_MAX_NAMED = 10  # outliers, and widest intervals, in the text
-
-
-def write_overview(columns: Columns, path: Path) -> None:
-    """Write the overview of a ledger as a Rerun recording."""
-    verdicts = np.array([str(one) for one in columns["verdict"]])
-    logs = [one_line(Path(str(one)).name) for one in columns["log"]]
-    # A few estimates that have intervals, those of most logs first; each has a view.
-    names = [name for name in columns if f"{name}_low" in columns]
-    names.sort(key=lambda name: -sum(one is not None for one in columns[name]))
-    values = {name: _numbers(columns[name]) for name in names}
-    names = [name for name, its in values.items() if np.isfinite(its).any()][:6]
-    values = {name: values[name] for name in names}
-    # The rank of each log by the name of the order.
-    count = len(logs)
-    keys: dict[str, Array] = {}
-    for name, its in values.items():
-        keys[f"by_{name}"] = its
-        ends = _numbers(columns[f"{name}_high"]) - _numbers(columns[f"{name}_low"])
-        keys[f"by_{name}_interval"] = ends
-    if "fit_excess_percent" in columns:
-        keys["by_fit_excess"] = _numbers(columns["fit_excess_percent"])
-    orders: dict[str, NDArray[Any]] = {_AS_TUNED: np.arange(count)}
-    for name, key in keys.items():
-        places = np.empty(count, np.int64)
-        places[np.argsort(key, kind="stable")] = np.arange(count)  # those without a value are last
-        orders[name] = places
-    outliers = {name: _unlike(values[name]) for name in names}
-    with draw.written(path, "overview", "overview") as recording:
-        # Each estimate of all logs: ends of intervals, points by verdict, outliers.
-        for name, its in values.items():
-            for end in ("low", "high"):
-                ends = _numbers(columns[f"{name}_{end}"])
-                _log_points(
-                    recording, f"{name}/{end}", ends, np.isfinite(ends), _END, orders, size=1.0
-                )
-            for verdict, colour in _POINT_COLORS.items():
-                there = np.isfinite(its) & (verdicts == verdict)
-                _log_points(recording, f"{name}/{verdict}", its, there, colour, orders)
-            entity = f"{name}/unlike_others"
-            _log_points(recording, entity, its, outliers[name], (255, 60, 200), orders, size=5.0)
-        excess = _numbers(columns.get("fit_excess_percent", ()))
-        is_known = np.isfinite(excess)
-        _log_points(recording, "fit/excess_percent", excess, is_known, _END, orders)
-        recording.send_blueprint(_overview_blueprint(names, has_fit=bool(is_known.any())))
-        _send_table(recording, columns, names, logs, orders)
-        text = _overview_words(logs, columns, verdicts, values, outliers)
-        draw.log_words(recording, "summary", text)
-
-
-def _unlike(values: Array) -> NDArray[np.bool_]:
-    """Return which values are outliers by the median absolute deviation."""
-    known = values[np.isfinite(values)]
-    if len(known) < 8:  # with fewer, none is called an outlier
-        return np.zeros(len(values), bool)
-    middle = np.median(known)
-    spread = 1.4826 * np.median(np.abs(known - middle))
-    with np.errstate(invalid="ignore"):
-        return np.abs(values - middle) > 5.0 * max(float(spread), 1e-12)
-
-
-def _log_points(
-    recording: rr.RecordingStream,
-    entity: str,
-    values: Array,
-    there: NDArray[np.bool_],
-    colour: tuple[int, int, int],
-    orders: Mapping[str, NDArray[Any]],
-    size: float = 2.0,
-) -> None:
-    if not np.any(there):
-        return
-    style = rr.SeriesPoints(colors=colour, markers="circle", marker_sizes=size, names=entity)
-    recording.log(entity, style, static=True)
-    times = [rr.TimeColumn(name, sequence=places[there]) for name, places in orders.items()]
-    recording.send_columns(entity, times, rr.Scalars.columns(scalars=values[there]))
-
-
-def _send_table(
-    recording: rr.RecordingStream,
-    columns: Columns,
-    names: Sequence[str],
-    logs: Sequence[str],
-    orders: Mapping[str, NDArray[Any]],
-) -> None:
-    """Send a table row per log: its identity, then its figures."""
-    times = [rr.TimeColumn(name, sequence=places) for name, places in orders.items()]
-    # Rerun makes a column as wide as its head.
-    told: dict[str, Any] = {"name_of_the_log_file": list(logs)}
-    heads = {"verdict": "verdict_of_it", "reason": "reason_of_the_verdict"}
-    for name, head in (heads | {"error": "error_in_short"}).items():
-        if name in columns:
-            told[head] = ["" if one is None else one_line(one) for one in columns[name]]
-    recording.send_columns(_TABLES[0], times, rr.AnyValues.columns(**told))
-    ends = [f"{name}_{end}" for name in names for end in ("low", "high")]
-    wanted = (*names, *ends, "fit_excess_percent", "seconds")
-    figures: dict[str, Any] = {
-        f"{name}_value" if name in names else name: np.round(_numbers(columns[name]), 5)
-        for name in wanted
-        if name in columns
-    }
-    if figures:
-        recording.send_columns(_TABLES[1], times, rr.AnyValues.columns(**figures))
-
-
-def _overview_words(
-    logs: Sequence[str],
-    columns: Columns,
-    verdicts: NDArray[Any],
-    values: Mapping[str, Array],
-    outliers: Mapping[str, NDArray[np.bool_]],
-) -> str:
-    """Describe the ledger: counts, outliers, largest uncertainties."""
-    counts = ", ".join(f"{int(np.sum(verdicts == one))} {one}" for one in _POINT_COLORS)
-    key = "green ok, amber suspect, red rejected, grey 95 %, pink unlike the others"
-    lines = [f"# {len(logs)} logs", "", f"{counts}.", "", f"Curves: {key}."]
-    for name, its in values.items():
-        known = its[np.isfinite(its)]
-        if not len(known):
-            continue
-        low, middle, high = np.percentile(known, (5, 50, 95))
-        lines += ["", f"## {name}", "", f"median {middle:.4g}; 90 % from {low:.4g} to {high:.4g}"]
-        which = np.flatnonzero(outliers[name])
-        if len(which):
-            shown = ", ".join(f"`{logs[at]}` {its[at]:.4g}" for at in which[:_MAX_NAMED])
-            more = f" and {len(which) - _MAX_NAMED} more" if len(which) > _MAX_NAMED else ""
-            lines += ["", f"unlike the others: {shown}{more}"]
-        widths = _numbers(columns[f"{name}_high"]) - _numbers(columns[f"{name}_low"])
-        widest = [at for at in np.argsort(-widths)[:_MAX_NAMED] if np.isfinite(widths[at])]
-        shown = ", ".join(f"`{logs[at]}` ± {widths[at] / 2:.2g}" for at in widest)
-        lines += ["", f"widest intervals: {shown}"] if shown else []
-    lines += [
-        "",
-        "Choose a timeline below to sort the curves by it; the table's is in the selection panel.",
-    ]
-    return "\n".join(lines)
-
-
-def _overview_blueprint(names: Sequence[str], *, has_fit: bool) -> rrb.Blueprint:
-    legend = rrb.PlotLegend(visible=False)  # it would hide what is unlike the others
-    plots: list[Any] = [
-        rrb.TimeSeriesView(origin=name, name=name, plot_legend=legend) for name in names
-    ]
-    if has_fit:
-        plots.append(
-            rrb.TimeSeriesView(origin="fit", name="misfit beyond the noise [%]", plot_legend=legend)
-        )
-    table = rrb.DataframeView(
-        origin="table",
-        name="table: the logs in the order they were tuned",
-        query=rrb.archetypes.DataframeQuery(
-            timeline=_AS_TUNED, entity_order=[f"/{entity}" for entity in _TABLES]
-        ),
-    )
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(*([rrb.Tabs(*plots)] if plots else []), table),
-            rrb.TextDocumentView(origin="summary", name="summary"),
-            column_shares=[3, 1],
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=_AS_TUNED),
-        collapse_panels=False,
-    )
-
-
-def _numbers(cells: Sequence[Any]) -> Array:
-    """Convert cells to numbers, NaN where there is none."""
-    return np.array([np.nan if one is None else float(one) for one in cells])
-
 
 # ---- Plan: the paths of all shots, the best one marked, the plane, the hoop.
 # The best shot's ball flies on the shot's own time; everything else is static.
@@ -442,17 +259,38 @@ def write_review(tuning: Tuning, record: Record, path: Path) -> None:
             if layout is None and draw.log_recorded_film(stream, tuning):
                 views = [rrb.Spatial2DView(origin="/film", name="recorded pictures")]
             # The evidence over all that was recorded, beside the result.
-            result = rrb.TextDocumentView(origin="/result", name="result")
+            result: rrb.View | rrb.Container = draw.result_view(has_checks=bool(record.checks))
+            example = tuning.experiment.example(stream) if tuning.experiment else None
+            if example is not None:
+                result = rrb.Vertical(result, example, row_shares=[3, 2])
             parts: list[rrb.View | rrb.Container] = [] if layout is None else [layout]
             parts += [rrb.Vertical(*views)] if views else []
             layout = rrb.Horizontal(result)
             if parts:
                 layout = rrb.Horizontal(rrb.Vertical(*parts), result, column_shares=[3, 2])
+        stream.send_property("tuning", _properties(record))
         strip = log_verdict(stream, tuning, record)
         layout = rrb.Vertical(strip, layout, row_shares=[VERDICT_SHARE, 1 - VERDICT_SHARE])
         has_film = tuning.refused is not None and tuning.detection is None
         stream.send_blueprint(draw.blueprint(layout, _time_panel(record, has_film=has_film)))
         draw.log_words(stream, "result", text)
+        if record.checks:
+            draw.log_words(stream, "checks", checks_words(record))
+
+
+def _properties(record: Record) -> rr.AnyValues:
+    """Return what a server of recordings filters by: verdict, task, values with their ends."""
+    told: dict[str, Any] = {"verdict": record.verdict, "task": record.task or "", "log": record.log}
+    if record.ball:
+        told["ball"] = record.ball
+    if record.provenance is not None:
+        told |= {"date": record.provenance.date, "engine": record.provenance.engine}
+    for known in record.estimates:
+        for one in known.components:
+            told[one.name] = one.value
+            if one.interval95 is not None:
+                told[f"{one.name}_low"], told[f"{one.name}_high"] = one.interval95
+    return rr.AnyValues(**{name: one for name, one in told.items() if one not in ("", None)})
 
 
 def _time_panel(record: Record, *, has_film: bool) -> rrb.TimePanel:
@@ -491,7 +329,7 @@ def _recorded_view(unit: str, entities: list[str], last_s: float, most_names: in
     return rrb.TimeSeriesView(
         origin="/recorded",
         contents=[f"+ {one}" for one in entities],
-        name=one_line(f"recorded {measured.get(unit, 'values')} [{unit}]"),
+        name=one_line(f"recorded {measured.get(unit, 'values')}" + f" [{unit}]" * bool(unit)),
         axis_x=rrb.TimeAxis(view_range=seconds),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=has_legend),
     )

@@ -65,19 +65,17 @@ SYSID = table(
         "it moves",
         at_least(3, "times its noise", ".3g g", fatal=3),
         seen="{column} varies by {value} times its noise",
-        measures="the column that varies most, in times its noise",
+        measures="largest motion of a column, in times its noise",
         passes="{limit} or more",
-        cause="nothing moves in the part that is used",
         advice="record while it moves",
     ),
     CheckSpec(
         "simulation is whole",
         Limit("true", 1, fatal=1),
-        measures="the tuned model's rollout, by MuJoCo's own warnings (working memory full, "
-        "positions, speeds or accelerations beyond all bounds)",
+        measures="MuJoCo's own warnings of the tuned rollout (memory full, states beyond all "
+        "bounds)",
         passes="none",
         if_not="r",
-        cause="a timestep that is too long, values at the end of a range, many contacts",
         advice="give the model a shorter timestep, more <size memory>, or other ranges with --tune",
     ),
     CheckSpec(
@@ -85,10 +83,8 @@ SYSID = table(
         at_most(5, "% of its spread", ".3g", fatal=50),
         seen="{value} % of how much {column} varies is left, rms",
         wanted="wanted: under {limit} %",
-        measures="what the tuned simulator leaves of each column (rms), as a share of how much it "
-        "varies",
-        passes="at most {limit} %, or 1.3 times the noise if that is more",
-        cause="a missing joint, another arm, other gravity, a wrong `--map`",
+        measures="what is left of each column, as a share of how much it varies (rms)",
+        passes="at most {limit} %, or 1.3 times the noise if more",
         advice=_WRONG_MODEL,
     ),
     CheckSpec(
@@ -97,26 +93,23 @@ SYSID = table(
         seen="from {from_s:.2f} s on, {column} is {value}{space}{unit} off, {before:.3g} before "
         "tuning",
         wanted="wanted: under {limit}",
-        measures="a fit to the first 60 % of the time with the rest",
+        measures="error of a fit to the first 60 % of the time on the rest",
         passes="twice what the whole fit leaves, or 2 % of how much a column varies beyond that",
-        cause="a missing joint, another arm, or too little in the first part",
         advice=_WRONG_MODEL,
     ),
     CheckSpec(
         "inside its range",
         at_most(0),
-        measures="values on the end of the range that `--tune` names",
+        measures="values on the end of their range (`--tune`)",
         passes="none",
-        cause="a range that is too narrow, or a model that is off elsewhere",
         advice="widen the range with --tune, and check the model: something in it may be off",
     ),
     CheckSpec(
         "every parameter is identifiable",
         at_most(0),
-        measures="how far 95 % reach, as a share of the range; of the value where a parameter is "
-        "seen only together with others",
+        measures="half the 95 % interval over the range (over the value where it is seen only with "
+        "others)",
         passes="at most a quarter",
-        cause="the motion does not change with it, or changes alike with another",
         advice="the motion that the check names, or measure it and leave it out",
         invalidates_interval=False,
     ),
@@ -126,7 +119,6 @@ SYSID = table(
         seen="half the step moves {name} by {shift:.2g}, {value} % of its interval's half",
         wanted="wanted: under {limit} %",
         measures="how far half the model's step moves each value",
-        cause="a long timestep",
         advice="shorten the model's timestep",
         invalidates_interval=False,
     ),

@@ -366,7 +366,7 @@ def log_scene(
     _log_motion(stream, "simulated", scene, simulated, result.color, is_solid=False)
     _log_points(stream, sensed, moments, start_ns, at_s)
     rest = "" if is_whole else ", the rest as simulated"
-    title = f"white: as observed{rest}; warm: the tuned model"
+    title = f"white: seen{rest}; warm: tuned"
     title = "the tuned model, dots: as observed" if observed is None else title
     # Across the motion, by default on the side of -y, and a little aside.
     normal = np.linalg.svd(np.cov(corners.T))[2][2]
@@ -554,7 +554,7 @@ def log_scrub(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Cont
         rrb.Grid(*charts, grid_columns=1 if is_narrow else 2),
         step,
         column_shares=[4.6, 3.2, 3.2] if is_narrow else [4.0, 4.2, 3.0],
-        name=f"scrub (timeline {draw.ITERATION})",
+        name=draw.SCRUB,
     )
 
 
@@ -620,13 +620,13 @@ def log_simulator(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         entries.append((f"{data.held_out_s:.2f} s: held out", [draw.MUTED]))
     overlay = rrb.Vertical(
         draw.log_key(stream, entries),
-        rrb.Grid(*main, grid_columns=2 if len(main) > _ONE_COLUMN else 1),
+        rrb.Vertical(*main),  # one time axis above the other, and wide enough for ticks
         row_shares=draw.KEY_SHARES,
     )
     scene = log_scene(stream, tuning, data)
     parts: list[rrb.View | rrb.Container] = [] if scene is None else [scene]
-    parts += [overlay, rrb.TextDocumentView(origin="/result", name="result")]
-    shares = [6.0, 4.6] if scene is None else [4.2, 5.2, 4.8]
+    parts += [overlay, draw.result_view()]
+    shares = [6.0, 4.6] if scene is None else [3.3, 6.6, 4.6]
     tabs: list[rrb.Container] = [
         rrb.Horizontal(*parts, column_shares=shares, name=f"overlay (timeline {draw.LOG_TIME})")
     ]

@@ -363,7 +363,7 @@ def _arc_of(table: Candidates, least_frames: int = MIN_FRAMES) -> Arc:
         raise NotFoundError(
             "no ball is seen to fly: nothing moves along a parabola, as a drop does from the side",
             f"{_MARK} (--preview: with a click), or at the next drop: film it from the side, with "
-            "light and a plain background (docs/camera.md)",
+            "light and a plain background (tunenet docs camera)",
         )
     return arc
 

@@ -6,6 +6,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
+from contextlib import closing, suppress
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -15,6 +17,7 @@ from tunenet_logs.errors import CameraAwayError, CameraError, LogError
 from tunenet_logs.messages import compressed, from_bgr, is_whole
 from tunenet_logs.recorders.camera.base import BaseSource, CapturedFrame
 from tunenet_logs.recorders.session import Closable
+from tunenet_logs.terminal import short_name
 from tunenet_logs.timing.stamps import wall_ns
 from tunenet_logs.video import open_video, video_notes
 
@@ -152,6 +155,49 @@ def _those_there_are() -> str:
     return f"there is {devices}" if devices else "no camera is plugged in (there is no /dev/video*)"
 
 
+_MAX_OPENING_S = 10.0  # of a camera that is listed
+_SETTLING = 10  # pictures in which a camera finds its exposure
+
+
+def list_cameras() -> list[str]:
+    """Describe each plugged-in camera, and save a picture of it here as `camera_N.jpg`.
+
+    Raises:
+        CameraError: none is plugged in.
+    """
+    from tunenet_logs.recorders.camera.options import CameraOptions
+
+    devices = sorted(Path("/dev").glob("video*"))
+    if not devices:
+        raise CameraError(_those_there_are(), "plug one in, or name a stream or a video file")
+    return [_listed(path, CameraOptions()) for path in devices]
+
+
+def _listed(path: Path, asked: CameraOptions) -> str:
+    number = path.name.removeprefix("video")
+    name = ""
+    with suppress(OSError):
+        name = Path(f"/sys/class/video4linux/{path.name}/name").read_text(errors="replace").strip()
+    said = f"{number}  {path}  {short_name(name, 40)}"
+    try:
+        camera = opened_within(_MAX_OPENING_S, str(path), lambda: CameraDevice(path, asked))
+    except LogError:
+        return f"{said}  gives no pictures"
+    with closing(camera):
+        shots = list(islice(camera.frames(), _SETTLING))
+        about = [camera.notes()[f"setting.{one}"].rpartition(" ")[2] for one in SETTINGS[:2]]
+    if not shots:
+        return f"{said}  gives no pictures"
+    picture = Path(f"camera_{number}.jpg")
+    try:
+        with picture.open("xb") as file:
+            file.write(shots[-1].frame.data)
+        kept = f"a picture: {picture}"
+    except OSError as error:
+        kept = f"no picture kept: {picture}: {error.strerror}"
+    return f"{said}  {about[0]} px, {about[1]} Hz  {kept}"
+
+
 Opened = TypeVar("Opened", bound=Closable)
 
 
@@ -178,7 +224,10 @@ def opened_within(
     # A daemon: a camera that never opens must not keep the process.
     threading.Thread(target=run, name="opening", daemon=True).start()
     try:
-        wait([opening], seconds)
+        until = time.monotonic() + seconds
+        while not opening.done() and (left := until - time.monotonic()) > 0:
+            # A signal that comes right before a wait begins is heard when it ends.
+            wait([opening], min(left, 0.5))
         if opening.cancel():
             said = f"{shown}: cannot be opened within {seconds:g} s; is the {what} on?"
             raise CameraAwayError(said)

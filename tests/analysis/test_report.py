@@ -114,7 +114,7 @@ PAGES = (*LOGS, "still", "all", "compared")
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_opens_from_the_disk_and_needs_nothing_else(
-    reports: Path, browser: Any, name: str, width: str
+    browser: Any, reports: Path, name: str, width: str
 ):
     path = reports / f"{name}.html"
     page = opened(browser, path, width, IMAGES_ARE_DRAWN if name != "still" else "")
@@ -124,7 +124,7 @@ def test_a_page_opens_from_the_disk_and_needs_nothing_else(
 
 
 @pytest.mark.parametrize("name", LOGS)
-def test_the_figures_of_a_page_are_those_of_the_json(reports: Path, browser: Any, name: str):
+def test_the_figures_of_a_page_are_those_of_the_json(browser: Any, reports: Path, name: str):
     known = json.loads((reports / f"{name}.json").read_text())
     text = opened(browser, reports / f"{name}.html").text
     for parameter in known["parameters"].values():
@@ -149,7 +149,7 @@ def test_the_figures_of_a_page_are_those_of_the_json(reports: Path, browser: Any
         assert f"{fit['rms_percent']:.2f} % of the drop height, rms" in text
 
 
-def test_the_verdict_comes_first_and_says_what_to_do(reports: Path, browser: Any):
+def test_the_verdict_comes_first_and_says_what_to_do(browser: Any, reports: Path):
     ok = opened(browser, reports / "filmed.html").text
     assert ok.startswith("filmed.mcap\n")
     assert 0 < ok.index("✓ ok") < ok.index("tunenet-export filmed.json") < ok.index("restitution")
@@ -159,7 +159,7 @@ def test_the_verdict_comes_first_and_says_what_to_do(reports: Path, browser: Any
     assert "Parameters" not in rejected
 
 
-def test_several_tunings_have_an_overview_with_links_and_a_comparison(reports: Path, browser: Any):
+def test_several_tunings_have_an_overview_with_links_and_a_comparison(browser: Any, reports: Path):
     links = "[...document.querySelectorAll('nav a')]"
     script = f"{links}.length == 4 && {links}.every(one => document.querySelector(one.hash))"
     text = opened(browser, reports / "all.html", script=script).text

@@ -26,7 +26,7 @@ _INLINE = re.compile(r"(?<!`)`([^`]+)`(?!`)")
 
 # How a command begins; between backticks it is one only where it does.
 _PROGRAM = re.compile(
-    r"(\.venv/bin/)?(tunenet-\w+|rerun|sphinx-build)\b|"
+    r"(\.venv/bin/)?(tunenet-[a-z]+|rerun(?!-)|sphinx-build)\b|"
     r"(python[\d.]*|pip|uv|make|docker|ray|ffmpeg|gst-launch-1\.0|rosbag|ros2|mkdir|git) |"
     r"\w*env/bin/(pip|python)\b"
 )

@@ -285,9 +285,10 @@ def test_a_cut_log_opens_everywhere_once_it_is_recovered(long: Path, cut: Path, 
         summary = make_reader(file, validate_crcs=True).get_summary()
     assert summary is not None
     assert summary.statistics is not None
-    assert summary.statistics.message_count == recovered.messages
+    assert summary.statistics.message_count > recovered.messages  # with those that draw it
     with AnyReader([saved]) as bag:
-        assert sum(1 for _ in bag.messages()) == recovered.messages
+        poses = [one for one in bag.connections if one.topic == "/ball/pose"]
+        assert sum(1 for _ in bag.messages(poses)) == recovered.messages
     convert = [BIN / "rerun", "mcap", "convert", saved, "-o", tmp_path / "a.rrd"]
     subprocess.run(convert, check=True, capture_output=True, timeout=60)
 
@@ -296,14 +297,14 @@ def test_a_cut_log_opens_everywhere_once_it_is_recovered(long: Path, cut: Path, 
 def test_a_broken_chunk_costs_its_own_messages_alone(long: Path, tmp_path: Path, place: str):
     data, path = bytearray(long.read_bytes()), tmp_path / "a.mcap"
     if place == "chunk":
-        data[len(data) // 2] ^= 4
+        data[data.index(b"zstd", len(data) // 2) + 100] ^= 4
     else:  # of the first chunk
         data[data.index(b"\x04\x00\x00\x00zstd") - 37 + 1 + 6] ^= 0x40
     path.write_bytes(bytes(data))
     recovered = recover(path, tmp_path / "saved.mcap")
     truth, found = ball(long), ball(tmp_path / "saved.mcap")
     says = ("chunk", "messages are missing") if place == "chunk" else ("found again",)
-    assert all(any(one in loss for loss in recovered.losses) for one in says)
+    assert all(any(one in loss for loss in recovered.losses) for one in says), recovered.losses
     assert len(found.values) > 0.4 * len(truth.values)
     assert np.array_equal(truth.values[np.isin(truth.stamps_ns, found.stamps_ns)], found.values)
 

@@ -45,7 +45,7 @@ from tunenet_logs import __version__, messages
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.files import open_regular
-from tunenet_logs.messages import INFO_RECORD
+from tunenet_logs.messages import INFO_RECORD, SHOWS
 from tunenet_logs.timing.arrivals import STAMPS_NOTE
 from tunenet_logs.timing.stamps import now_ns
 from tunenet_logs.writing.owned_path import (
@@ -86,6 +86,7 @@ class McapOutput:
     def __init__(self, file: WholeFile, profile: str, library: str) -> None:
         self.is_ended = False
         self.message_count = 0  # in the file, those in the open chunk not counted
+        self.drawn_count = 0  # those of them that only draw others for viewers
         self._file = file
         self._compressor = zstandard.ZstdCompressor()
         # It takes a fifth of the time, and leaves what does not pack as it is.
@@ -97,6 +98,7 @@ class McapOutput:
         self._chunk_indexes = bytearray()  # as bytes: hours of recording make many
         self._chunk_count = 0
         self._counts: dict[int, int] = {}
+        self._drawing: set[int] = set()  # channels that only draw others
         self._span_ns: tuple[int, int] | None = None
         self._open_chunk()
         file.append(MAGIC + bytes_of(Header(profile, library)))
@@ -113,12 +115,18 @@ class McapOutput:
         self._announce(Schema(id=number, name=name, encoding=encoding, data=text.encode()))
         return number
 
-    def add_channel(self, topic: str, encoding: str, schema_id: int) -> int:
-        """Announce a topic, and return its id."""
+    def add_channel(self, topic: str, encoding: str, schema_id: int, shows: str = "") -> int:
+        """Announce a topic, and return its id; one that `shows` another is drawn, not read."""
         number = self._next_id(Channel, self._channels)
+        if shows:
+            self._drawing.add(number)
         self._announce(
             Channel(
-                id=number, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema_id
+                id=number,
+                topic=topic,
+                message_encoding=encoding,
+                metadata={SHOWS: shows} if shows else {},
+                schema_id=schema_id,
             )
         )
         return number
@@ -190,6 +198,7 @@ class McapOutput:
         for channel_id, pairs in entries.items():
             self._counts[channel_id] = self._counts.get(channel_id, 0) + len(pairs) // 2
             self.message_count += len(pairs) // 2
+            self.drawn_count += len(pairs) // 2 if channel_id in self._drawing else 0
         start_ns, end_ns = chunk.message_start_time, chunk.message_end_time
         first_ns, last_ns = self._span_ns or (start_ns, end_ns)
         self._span_ns = min(first_ns, start_ns), max(last_ns, end_ns)
@@ -337,7 +346,7 @@ def _copy(
     schemas: dict[int, int] = {}
     channels: dict[int, Channel] = {}
     ids: dict[int, int] = {}
-    last: Mapping[str, str] | None = None
+    last: Metadata | None = None
     for record in StreamReader(log).records:
         if isinstance(record, Schema):
             types[record.id] = record
@@ -346,8 +355,8 @@ def _copy(
         elif isinstance(record, Metadata):
             if last is not None:
                 output.close_chunk()
-                output.add_metadata(INFO_RECORD, last)
-            last = record.metadata
+                output.add_metadata(last.name, last.metadata)
+            last = record
         elif isinstance(record, Message):
             channel = channels[record.channel_id]
             if channel.schema_id not in schemas:
@@ -357,7 +366,10 @@ def _copy(
                 )
             if channel.id not in ids:
                 ids[channel.id] = output.add_channel(
-                    channel.topic, channel.message_encoding, schemas[channel.schema_id]
+                    channel.topic,
+                    channel.message_encoding,
+                    schemas[channel.schema_id],
+                    channel.metadata.get(SHOWS, ""),
                 )
             data, published_ns = record.data, record.publish_time
             if channel.topic == topic:
@@ -368,7 +380,8 @@ def _copy(
                 ids[channel.id], record.sequence, record.log_time, max(published_ns, 0), data
             )
     output.close_chunk()
-    output.end(INFO_RECORD, {**(last or {}), f"notes.{STAMPS_NOTE}": note})
+    name, values = (last.name, last.metadata) if last else (INFO_RECORD, {})
+    output.end(name, {**values, f"notes.{STAMPS_NOTE}": note})
     file.sync()
 
 
@@ -380,6 +393,7 @@ def _stamp_ns(data: bytes) -> int:
 # ---- Episode
 
 _CHUNK_SECONDS = 0.1  # what a killed live recording loses at most
+_LAST_RECORD = f"{INFO_RECORD}/end"
 _SYNC_SECONDS = 1.0  # what a power cut may cost; oftener, a slow disk would hold up a recording
 
 
@@ -411,7 +425,7 @@ class EpisodeWriter:
         self.path = path
         self.active_path = self._place.active_path
         self.info = info
-        self.accepted = 0  # messages handed over
+        self.accepted = 0  # messages handed over, those not counted that draw others
         # Asked when the recording ends: what the recorder counted (`captured`, ...), and takes no
         # more. `dropped` follows. Left alone, what was accepted was captured.
         self.tally: Callable[[], Mapping[str, int]] = dict
@@ -425,7 +439,9 @@ class EpisodeWriter:
         self._file = WholeFile(self._place.claim.descriptor)
         try:
             self._output = McapOutput(self._file, "ros2", f"tunenet-logs {__version__}")
-            self._output.add_metadata(INFO_RECORD, info.to_strings())
+            self._told = info.to_strings()  # what the log says of the episode so far
+            self._tellings = 0  # records of what was noted since
+            self._output.add_metadata(INFO_RECORD, self._told)
         except OSError as error:
             self.discard()
             raise not_writable(path, error) from error
@@ -479,12 +495,20 @@ class EpisodeWriter:
         self.write_message(topic, kind, stamp_ns, messages.encode(message, kind), received_ns)
 
     def write_message(
-        self, topic: str, type_name: str, stamp_ns: int, data: bytes, received_ns: int | None = None
+        self,
+        topic: str,
+        type_name: str,
+        stamp_ns: int,
+        data: bytes,
+        received_ns: int | None = None,
+        *,
+        shows: str = "",
     ) -> None:
         """Write a message of a topic's one type, as CDR behind its four bytes of encapsulation.
 
         `stamp_ns` is that of the acquisition; `received_ns` tells when a live one came, on the
-        clock of `now_ns`: now if None. After a LogError the recording is over.
+        clock of `now_ns`: now if None. One that only draws another topic for viewers `shows` that,
+        and is not counted. After a LogError the recording is over.
         """
         channel = self._channels.get(topic)
         if channel is None or channel.type_name != type_name:
@@ -496,10 +520,10 @@ class EpisodeWriter:
             text = messages.definition(type_name)
             if type_name not in self._schemas:
                 self._schemas[type_name] = self._output.add_schema(type_name, "ros2msg", text)
-            number = self._output.add_channel(topic, "cdr", self._schemas[type_name])
+            number = self._output.add_channel(topic, "cdr", self._schemas[type_name], shows)
             channel = self._channels[topic] = _Channel(number, type_name)
         channel.sequence += 1
-        self.accepted += 1
+        self.accepted += not shows
         published_ns = max(stamp_ns, 0)  # MCAP knows no time before 1970
         log_ns = published_ns
         if self._live:
@@ -534,7 +558,7 @@ class EpisodeWriter:
     @property
     def written(self) -> int:
         """Number of messages that are in the file and would survive this process."""
-        return self._output.message_count
+        return self._output.message_count - self._output.drawn_count
 
     def note(self, name: str, text: str) -> None:
         """Add a note to the log's info that became known while recording."""
@@ -543,10 +567,12 @@ class EpisodeWriter:
     def note_at_once(self, name: str, text: str) -> None:
         """Add a note and write the info so far, so that a killed recorder's log has it, too."""
         self.note(name, text)
+        self._tellings += 1
         try:
-            self._output.add_metadata(INFO_RECORD, self.info.to_strings())
+            self._output.add_metadata(f"{INFO_RECORD}/{self._tellings}", self.info.news(self._told))
         except OSError as error:
             self._break_off(error)
+        self._told = self.info.to_strings()
 
     def discard(self) -> None:
         """Leave no log: nothing came that is worth one. A log that it would replace stays."""
@@ -558,7 +584,7 @@ class EpisodeWriter:
             return
         try:
             self._output.close_chunk()
-            self._output.end(INFO_RECORD, self._final_info(ended))
+            self._output.end(_LAST_RECORD, self._final_info(ended))
             self._file.sync()
         except OSError as error:
             self._break_off(error)
@@ -586,7 +612,7 @@ class EpisodeWriter:
             self.discard()  # nothing is there where it was closed well
 
     def _final_info(self, ended: str) -> dict[str, str]:
-        """Return the info record of the end: what is in the file now, and what is not."""
+        """Return the news of the end: what is in the file now, and what is not."""
         counts = {"captured": self.accepted, **self.tally()}
         captured = counts.pop("captured")
         dropped = captured - self.written
@@ -594,7 +620,7 @@ class EpisodeWriter:
             ended, captured=captured, dropped=dropped, **counts, written=self.written
         )
         self.info = info
-        return info.to_strings()
+        return info.news(self._told)
 
     def _look_after_the_file(self) -> None:
         """End a log whose file somebody removed, moved or replaced: what follows would be lost."""
@@ -622,7 +648,7 @@ class EpisodeWriter:
     def _end_early(self, why: str, remedy: str, cause: OSError | None = None) -> NoReturn:
         """End the log with what is in it, and say what is kept and where."""
         is_whole = not self._is_import and (
-            self._output.is_ended or self._output.end_as_fits(INFO_RECORD, self._final_info(why))
+            self._output.is_ended or self._output.end_as_fits(_LAST_RECORD, self._final_info(why))
         )
         kept = self._place.keep(is_whole=is_whole, is_cut=True, or_nothing=self._is_import)
         raise LogError(f"{self.path}: {why}; {self._left(kept)}; {remedy}") from cause

@@ -26,6 +26,7 @@ from tunenet_logs.analysis.onsets import onsets
 from tunenet_logs.analysis.review import drawing as draw
 from tunenet_logs.analysis.statistics import noise_of
 from tunenet_logs.episode import UNSTATED, Array, Sound
+from tunenet_logs.recorders.simulators.ball import Bounce
 from tunenet_logs.terminal import short_name
 
 # ---- Film: the track over the pictures, and its height
@@ -111,6 +112,31 @@ def _log_knocks(
     marks = (Marks("knock", "knock", draw.IMPACT, knocks_s),)
     said = f"red: what knocks ({len(knocks_s)})" if len(knocks_s) else "nothing knocks"
     return log_sound(stream, sound, begin_s, span_s, marks, said)
+
+
+# ---- A good drop, to compare with
+
+
+def log_good_drop(stream: rr.RecordingStream) -> rrb.View:
+    """Send the heights of a good drop by time, with what each part of it is."""
+    seconds = np.linspace(-1.6, 5.0, 900)  # since the first impact, in the time of the fall
+    heights = Bounce(restitution=0.72).heights(seconds)
+    across = (seconds - seconds[0]) / np.ptp(seconds) * draw.WIDTH
+    draw.log_grid(stream, "sheets/good", draw.WIDTH, [(0.0, "table")], [])
+    draw.log_strips(
+        stream, "sheets/good/height", [np.column_stack([across, -heights])], [draw.SUCCESS], 1.2
+    )
+    said = {  # times and heights of words
+        -1.2: (1.03, "still in the hand"),
+        0.2: (0.75, "falls in view"),
+        3.2: (0.45, "bounces in view until it lies still"),
+    }
+    places = [
+        [(at - seconds[0]) / np.ptp(seconds) * draw.WIDTH, -height - 0.1]
+        for at, (height, _) in said.items()
+    ]
+    draw.log_labels(stream, "sheets/good/words", places, [words for _, words in said.values()])
+    return draw.chart_view("good", "how the height of a good drop looks")
 
 
 # ---- Positions in which no drop was found: the heights searched, and likely impacts

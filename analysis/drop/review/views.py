@@ -573,7 +573,7 @@ def log_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     title = "impacts: simulated - heard [ms], grey: the times' jitter"
     span = draw.ticked(-reach_ms, reach_ms)
     residual_view = draw.plot_view("residual", title, span, (begin_s, end_s))
-    result = rrb.TextDocumentView(origin="/result", name="result")
+    result = draw.result_view()
     curves = rrb.Vertical(height_view, residual_view, row_shares=[3, 2])
     if detection.listened is not None:
         said = "white: its impacts, red: other knocks"
@@ -624,7 +624,7 @@ def log_drop(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     )
     charts = [iterates]
     charts += [log_bounces(stream, data)] if data.bounces else []
-    result = rrb.TextDocumentView(origin="/result", name="result")
+    result = rrb.Vertical(draw.result_view(), _log_phases(stream, data), row_shares=[5, 1])
     name = f"overlay (timeline {draw.LOG_TIME})"
     if detection.film is None:
         overlay = rrb.Horizontal(curves, result, column_shares=[3, 2], name=name)
@@ -633,10 +633,10 @@ def log_drop(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         share = min(max(3 * aspect, 1.2), 3.5)
         overlay = rrb.Horizontal(video, curves, result, column_shares=[share, 3, 3], name=name)
     scrub = rrb.Horizontal(
-        height_chart,
+        rrb.Vertical(height_chart, _log_residuals(stream, data), row_shares=[3, 2]),
         rrb.Vertical(step, *charts, row_shares=[3.6, *[2.8] * len(charts)]),
         column_shares=[5, 4],
-        name=f"scrub (timeline {draw.ITERATION})",
+        name=draw.SCRUB,
     )
     return rrb.Tabs(overlay, scrub, active_tab=0)
 
@@ -677,6 +677,26 @@ def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, 
     return height_view, draw.plot_view("residual", title, span, data.shown_s)
 
 
+_HELD, _FALLS, _FLIES = (95, 100, 115), (66, 120, 220), ((40, 140, 150), (50, 110, 125))
+
+
+def _log_phases(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
+    """Send what the ball does as states: in the hand, falling, each flight after an impact."""
+    begins = {"in the hand": data.shown_s[0], "falls": max(data.release_s, data.shown_s[0])}
+    begins |= {f"flight {n}": at for n, at in enumerate(data.impacts_s.tolist(), 1)}
+    if begins["falls"] <= data.shown_s[0]:
+        del begins["in the hand"]
+    colors = {"in the hand": _HELD, "falls": _FALLS}
+    style = rr.StateConfiguration(
+        values=list(begins),
+        labels=list(begins),
+        colors=[colors.get(name, _FLIES[number % 2]) for number, name in enumerate(begins)],
+    )
+    seconds = np.array(list(begins.values()))
+    draw.log_moving(stream, "phase", style, seconds, rr.StateChange.columns(state=list(begins)))
+    return rrb.StateTimelineView(contents=["+ /phase"], name="what the ball does")
+
+
 def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
     """Send the observed ball and those of all iterations, falling side by side in 3D."""
     curves = [data.observed, *data.simulated]
@@ -714,11 +734,28 @@ def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
     return draw.scene_view("the ball as seen, and of each iteration", eye_m, target_m)
 
 
+def _log_residuals(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
+    """Send each iteration's residuals over the drop, and the line of none."""
+    seconds = data.residuals[-1].seconds
+    inside = (seconds >= data.release_s) & (seconds <= data.shown_s[1])
+    seconds = seconds[inside]
+    each = [np.interp(seconds, one.seconds, one.heights_m) for one in data.residuals]
+    curves_mm = 1000 * np.column_stack(each)
+    usual_mm = float(np.nanquantile(np.abs(curves_mm[:, -1]), 0.98)) if len(seconds) else 0.0
+    reach_mm = max(4.0 * usual_mm, 5.0)  # so that earlier iterates are seen to leave
+    shown_mm = np.where(np.abs(curves_mm) <= reach_mm, curves_mm, np.nan)
+    colors = [curve.color for curve in data.simulated]
+    none = np.zeros(len(seconds))
+    drawn = stream, "sheets/residuals", seconds, none, shown_mm, colors
+    draw.log_sheet(*drawn, (-reach_mm, reach_mm), first_s=data.shown_s[0])
+    return draw.chart_view("residuals", "simulated - observed [mm]")
+
+
 def _log_heights(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, rrb.View]:
     """Send the observed curve, the iteration's over it, and the iteration in words."""
     start_s = data.release_s - 0.05 * (data.end_s - data.release_s)
     width_s, height_m = data.end_s - start_s, data.drop_height_m
-    wide = 1.7  # it fills a larger and squarer view than other charts
+    wide = 2.1  # it fills a larger and squarer view than other charts
     rows = [(-height / height_m, f"{height:g} m") for height in draw.ticks(0.0, height_m)]
     marks = [
         ((second - start_s) / width_s * wide, f"{second:g} s")

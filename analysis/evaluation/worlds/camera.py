@@ -685,7 +685,7 @@ def _object(scene: TrackScene, places_px: Array) -> Track:
     return track_from_pixels(scene, places_px, radii, np.zeros(len(places_px), dtype=bool))
 
 
-# Those of docs/experiments.md, in its order.
+# Those of docs/accuracy.md, in its order.
 TRACK_FAULTS = (
     TrackFault("still", "something that lies still", _still, bounces=False),
     TrackFault("wandering", "something that wanders about", _wandering, bounces=False),

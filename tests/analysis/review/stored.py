@@ -39,7 +39,7 @@ _DRAWN = {
 
 # The last parts of entities that hold a chart's axes: without anything else it is empty.
 _FRAME = ("grid", "labels")
-_TIMELINE = re.compile(r"\(timeline (\w+)\)")  # in the name of a tab: what it is for
+_TIMELINE = re.compile(r"\(timeline (\w+)")  # in the name of a tab: what it is for
 
 
 @dataclass

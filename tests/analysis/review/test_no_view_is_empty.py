@@ -20,7 +20,7 @@ from tunenet_logs.analysis.cli.plan import main as plan_main
 from tunenet_logs.analysis.cli.review import main as review_main
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.options import TuneOptions
-from tunenet_logs.analysis.review.tuning import write_overview
+from tunenet_logs.analysis.review.ledger import write_overview
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.recorders.simulated import PayloadOrder, simulate_payload
 
