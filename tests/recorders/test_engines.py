@@ -227,6 +227,13 @@ def test_follows_the_closed_form(gap: float, radius: float, rate: float, restitu
     assert np.abs(heights(rig, restitution=restitution) - exact).max() < 1e-4
 
 
+def test_a_flight_by_itself_lasts_as_among_all_of_a_ball_in_air():
+    ball = Bounce(0.8, slope=0.05, drag=0.3)
+    starts, speeds = ball.flights(6.0)
+    alone = [ball.flight(speed)[0] for speed in speeds[:-1].tolist()]
+    assert np.diff(starts) == pytest.approx(alone, rel=1e-12)
+
+
 @every_engine
 def test_a_ball_at_rest_stays_and_a_world_that_others_have_used_gives_the_bits_of_a_fresh_one():
     curve = heights(DropRig(gap_m=0.3, rate_hz=60, samples=3000), restitution=0.7)

@@ -469,6 +469,16 @@ def test_one_that_hangs_up_for_ever_ends_it(monkeypatch: pytest.MonkeyPatch, tmp
     assert server.calls == summary.written == 10
 
 
+def test_cut_pictures_of_every_connection_are_counted(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    monkeypatch.setattr(BETWEEN_S, 0.01)
+    whole = picture(1)
+    with answering(STREAM + part(whole[: len(whole) // 2]) + part(whole)) as server:
+        summary, episode = recorded(lasting(server), tmp_path / "a.mcap")
+    assert summary.written == summary.damaged == episode.info.counts["damaged"] == 10
+
+
 def test_one_that_delivers_for_a_while_each_time_is_asked_again(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(BETWEEN_S, 0.01)
     monkeypatch.setattr("tunenet_logs.recorders.camera.reconnecting._BRIEF_S", 0.0)

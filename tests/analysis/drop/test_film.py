@@ -103,6 +103,14 @@ def test_the_drag_of_a_light_ball_is_taken_into_account(count: int):
     assert np.median([abs(off(found(one), one)) for one in drops]) < 0.008
 
 
+def test_a_known_balls_drag_goes_with_the_height_of_its_fall():
+    """In a short fall the air does less: by the fall time alone it would be .001 off."""
+    balls = BallRanges((0.5, 0.9), drag_1_m=TABLE_TENNIS.drag_1_m or 0.0)
+    low = TrackSet("light", (0.3, 0.5), 0.02)
+    drops = [draw_scene(low, balls, 0.3, SEED, number) for number in range(6)]
+    assert abs(np.mean([off(found(one, TABLE_TENNIS), one) for one in drops])) < 0.0008
+
+
 def test_each_bounce_has_its_own_restitution():
     scene = one_scene(0.6, 1, slope=0.15)
     bounces = fitted_rebounds(found(scene).posterior)
@@ -211,6 +219,21 @@ def test_a_ball_cut_off_at_its_apex_leaves_the_rest():
     assert len(excused_s) > 30
     kept = recording_checks(drop.drop, np.zeros((2, 1)), 0.4, excused_s)
     assert all(one.passed for one in kept)
+
+
+def test_a_ball_that_is_lost_within_the_picture_is_not_excused():
+    """Its apex is lost; a part of it is in the picture, up to its radius (5 px) from the edge."""
+    track = filmed(0.9, rate_hz=120, seconds=3.5)
+    top = 200 - 0.81 * 120 * 0.65
+    places = track.places_px - [0.0, top - 20.0]
+    seen = places.copy()
+    seen[(np.arange(len(seen)) > 100) & (seen[:, 1] < 20.0)] = np.nan
+    drop = find_filmed_drop(replace(track, places_px=seen), 0)
+    stamps_s = track.stamps_ns * 1e-9
+    clock_s = stamps_s + drop.drop.seconds[0] - stamps_s[drop.used][0]
+    excused = np.isin(clock_s.round(6), seconds_out_of_view(drop).round(6))
+    assert np.count_nonzero(excused) > 20
+    assert places[excused, 1].max() < 6.0
 
 
 def test_a_clock_that_jumps_after_the_second_impact_costs_what_comes_later():

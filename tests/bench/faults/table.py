@@ -83,7 +83,7 @@ SETS: dict[str, tuple[Fault, ...]] = {
         Fault("after a write that failed, the next one leaves a hole of zeros",
               "tunenet_logs/writing/owned_path.py",
               "tunenet_logs/test_writer",
-              "⟦            os.lseek(self._descriptor, self.size_bytes, os.SEEK_SET)\n→⟧"),
+              "⟦                os.lseek(self._descriptor, self.size_bytes, os.SEEK_SET)\n→⟧"),
         Fault("a full disk gives up the whole summary before the index of chunks",
               "tunenet_logs/writing/writer.py", "tunenet_logs/test_writer",
               "            record + ⟦self._ending(record, index, has_chunk_index=False),\n"
@@ -105,7 +105,7 @@ SETS: dict[str, tuple[Fault, ...]] = {
               "analysis/experiment.py", "analysis/test_tuning analysis/drop/test_doubts",
               "if doubts⟦ or (self.cross_check is not None and not self.cross_check.agrees)→⟧:"),
         Fault("a drop that falls with too little gravity passes",
-              "analysis/drop/checks.py", "analysis/drop/test_doubts analysis/test_tuning",
+              "analysis/drop/checks.py", "analysis/test_checks analysis/drop/test_doubts",
               "off = 100 * ⟦(drop.gravity_m_s2 / standard - 1→max(drop.gravity_m_s2 / "
               "standard - 1, 0⟧)"),
         Fault("a ball's diameter in the picture is taken for its radius",
