@@ -290,13 +290,14 @@ def test_a_ball_is_one_as_far_as_one_law_goes(
         (4, 0.083, False, False),
         (1, 0.083, False, True),
         (2, 0.083, False, False),
+        (2.1, None, False, False),  # 4.4 m by the clock, a ball of .37 m
     ],
 )
 def test_what_hangs_on_the_clock_is_told_only_where_nothing_doubts_it(
-    slower: int, diameter_m: float | None, said: bool, tells: bool
+    slower: float, diameter_m: float | None, said: bool, tells: bool
 ):
     track = filmed(0.7, gap_m=1.0)
-    track = replace(track, stamps_ns=track.stamps_ns * slower)
+    track = replace(track, stamps_ns=(track.stamps_ns * slower).astype(np.int64))
     detection = FilmDetection(True, "/camera", 0, track, Ball(diameter_m), is_rate_known=said)
     assert detection.tells_speed == tells
     assert (detection.extent[1] != "height unknown") == tells
