@@ -316,8 +316,6 @@ def test_a_clean_sequence_tells_the_second_impact_and_with_a_height_the_first():
     tuning = tuned(impacts(9), TuneOptions(height_m=HEIGHT_M))
     low, high = ends(tuning)
     assert low < RESTITUTION < high < low + 0.03
-    # A height by hand is known to .5 %, the speed of the first impact to half of that.
-    assert high - low > 2 * 1.96 * 0.0025 * RESTITUTION
     first = record_of(tuning).rebounds[0]
     assert first.impact_s == pytest.approx(0.0, abs=0.002)
     assert first.impact_speed_m_s == pytest.approx(4.75, abs=0.05)
