@@ -6,8 +6,10 @@ by way of a `TopicQueue`.
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
+import time
 from array import array
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -401,7 +403,12 @@ class LiveRecording:
 
     def wait(self, seconds: float | None = None) -> bool:
         """Wait until the recording is over, at most `seconds`; True if it is over."""
-        return self._is_over.wait(seconds)
+        until = time.monotonic() + (math.inf if seconds is None else seconds)
+        # A signal that comes right before a wait begins is heard when it ends.
+        while not self._is_over.wait(max(0.0, min(0.5, until - time.monotonic()))):
+            if time.monotonic() >= until:
+                return False
+        return True
 
     def close(self, ended: str = "") -> Summary:
         """End the recording, and wait until the log is complete. Safe to call twice."""
