@@ -10,7 +10,7 @@ import signal
 import socket
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
@@ -24,7 +24,7 @@ import numpy as np
 
 from tunenet_logs.console import BLAS_THREADS
 from tunenet_logs.errors import UsageError
-from tunenet_logs.process import heard, is_silent, signals_held, silence_libraries
+from tunenet_logs.process import heard, heard_wait, is_silent, signals_held, silence_libraries
 from tunenet_logs.recorders.simulators.known import ENGINE_VARIABLE
 from tunenet_logs.terminal import Progress
 
@@ -242,7 +242,8 @@ def streamed(
                             at = waiting.popleft()
                             under_way.add(at)
                             futures[pool.submit(work, items[at])] = at
-                    for future in wait(futures, return_when=FIRST_COMPLETED).done:
+                    heard_wait(partial(_any_done, futures))
+                    for future in [one for one in futures if one.done()]:
                         result = future.result()
                         at = futures.pop(future)
                         under_way.discard(at)
@@ -261,6 +262,10 @@ def streamed(
             else:
                 result = lost(items[at])
             yield at, result
+
+
+def _any_done(futures: Iterable[Future[Any]], seconds: float) -> bool:
+    return bool(wait(futures, seconds, FIRST_COMPLETED).done)
 
 
 @contextmanager

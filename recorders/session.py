@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import signal
 import threading
-import time
 from array import array
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -27,6 +26,7 @@ from tunenet_logs.copying import joint_states, joint_topics
 from tunenet_logs.episode import Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.messages import CAMERA_TOPIC
+from tunenet_logs.process import heard_wait
 from tunenet_logs.recorders.simulators.arm.description import Arm
 from tunenet_logs.terminal import Progress
 from tunenet_logs.timing.stamps import Gap, now_ns
@@ -403,12 +403,7 @@ class LiveRecording:
 
     def wait(self, seconds: float | None = None) -> bool:
         """Wait until the recording is over, at most `seconds`; True if it is over."""
-        until = time.monotonic() + (math.inf if seconds is None else seconds)
-        # A signal that comes right before a wait begins is heard when it ends.
-        while not self._is_over.wait(max(0.0, min(0.5, until - time.monotonic()))):
-            if time.monotonic() >= until:
-                return False
-        return True
+        return heard_wait(self._is_over.wait, math.inf if seconds is None else seconds)
 
     def close(self, ended: str = "") -> Summary:
         """End the recording, and wait until the log is complete. Safe to call twice."""

@@ -8,6 +8,7 @@ import re
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import NamedTuple
 
 from tunenet_logs.console import Parser, run
@@ -64,7 +65,7 @@ def _show(arguments: argparse.Namespace) -> int:
         found = searched(sections, words)
         for one in found:
             first = next((line for line in one.text.splitlines() if line[:1].isalnum()), "")
-            print(f"{one.page}: {one.heading}\n    {first[:100]}")
+            print(f"{one.page}: {one.heading}" + f"\n    {shorten(first, 100)}" * bool(first))
         if not found:
             print(f"nothing is said of {' '.join(words)}; see `tunenet docs`", file=sys.stderr)
         return 0 if found else 1

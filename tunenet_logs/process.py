@@ -9,9 +9,11 @@ At work (`stoppable`), a signal raises `Stopped`, which unwinds as Ctrl-C does.
 from __future__ import annotations
 
 import atexit
+import math
 import os
 import signal
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -147,6 +149,18 @@ def _ignore() -> None:
 _AGAIN_S = 0.02  # until a signal that came at a bad moment is tried again
 # Callbacks of libraries, which would print what is raised there, and go on.
 _called_by_c: set[CodeType] = set()
+
+
+def heard_wait(wait: Callable[[float], object], seconds: float = math.inf) -> bool:
+    """Wait by `wait(seconds)` until that is true, at most so long; return whether it was.
+
+    In short pieces: a signal that comes right before a wait begins is heard only when it ends.
+    """
+    until = time.monotonic() + seconds
+    while not wait(max(0.0, min(0.5, until - time.monotonic()))):
+        if time.monotonic() >= until:
+            return False
+    return True
 
 
 def end_child(child: subprocess.Popen[bytes]) -> None:

@@ -15,6 +15,7 @@ from tunenet_logs.audio import is_sound_alone
 from tunenet_logs.episode import Frame, Sound
 from tunenet_logs.errors import CameraAwayError, CameraError, LogError
 from tunenet_logs.messages import compressed, from_bgr, is_whole
+from tunenet_logs.process import heard_wait
 from tunenet_logs.recorders.camera.base import BaseSource, CapturedFrame
 from tunenet_logs.recorders.session import Closable
 from tunenet_logs.terminal import short_name
@@ -224,10 +225,7 @@ def opened_within(
     # A daemon: a camera that never opens must not keep the process.
     threading.Thread(target=run, name="opening", daemon=True).start()
     try:
-        until = time.monotonic() + seconds
-        while not opening.done() and (left := until - time.monotonic()) > 0:
-            # A signal that comes right before a wait begins is heard when it ends.
-            wait([opening], min(left, 0.5))
+        heard_wait(lambda piece_s: wait([opening], piece_s).done, seconds)
         if opening.cancel():
             said = f"{shown}: cannot be opened within {seconds:g} s; is the {what} on?"
             raise CameraAwayError(said)
