@@ -742,8 +742,8 @@ def _log_residuals(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
     each = [np.interp(seconds, one.seconds, one.heights_m) for one in data.residuals]
     curves_mm = 1000 * np.column_stack(each)
     usual_mm = float(np.nanquantile(np.abs(curves_mm[:, -1]), 0.98)) if len(seconds) else 0.0
-    reach_mm = max(4.0 * usual_mm, 5.0)  # so that earlier iterates are seen to leave
-    shown_mm = np.where(np.abs(curves_mm) <= reach_mm, curves_mm, np.nan)
+    reach_mm = max(4.0 * usual_mm, 5.0)
+    shown_mm = np.clip(curves_mm, -reach_mm, reach_mm)  # earlier iterates run along the border
     colors = [curve.color for curve in data.simulated]
     none = np.zeros(len(seconds))
     drawn = stream, "sheets/residuals", seconds, none, shown_mm, colors
