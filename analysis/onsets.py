@@ -8,6 +8,7 @@ seismologists pick the arrival of a wave; Maeda, Zisin 38, 1985).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -78,7 +79,6 @@ def _change(piece: Array) -> tuple[float, float, float, float] | None:
 def _whitened(samples: Array, from_sample: int, white: float) -> Array:
     """Whiten from `from_sample` on by a linear prediction, learnt before it."""
     from scipy.linalg import solve_toeplitz
-    from scipy.signal import lfilter
 
     background = samples[:from_sample]
     if len(background) < 4 * _ORDER or not background.any():
@@ -87,7 +87,7 @@ def _whitened(samples: Array, from_sample: int, white: float) -> Array:
     correlation = np.fft.irfft(spectrum)[: _ORDER + 1] / len(background)
     correlation[0] *= 1 + white
     predicts = solve_toeplitz(correlation[:-1], correlation[1:])
-    return np.asarray(lfilter(np.append(1.0, -predicts), [1.0], samples))[from_sample:]
+    return np.convolve(np.append(1.0, -predicts), samples)[from_sample : len(samples)]
 
 
 # ---- Onsets: find the frames in which many bands rise.
@@ -104,6 +104,7 @@ MAX_ONSETS = 400  # that are kept: those that rise the most
 # After a knock, softer ones within this time, by this much, are its echoes.
 _ECHO_S, _ECHO_DB = 0.05, 1.0
 _MIN_SD_S = 2e-5  # of a moment: one sample
+_RINGS_S = 0.1  # a band is silent again so long after a knock, to 1e-12
 _LOUD_S = 0.010  # after an onset, in which its peak is measured
 
 
@@ -144,11 +145,7 @@ def onsets(sound: Sound) -> Onsets:
     powers = _band_powers(samples, heard_hz)
     rises, before, after = _rises(powers)
     rise = rises.mean(axis=0)
-    from scipy.signal import find_peaks
-
-    frames, shape = find_peaks(rise, height=_MIN_RISE_DB, distance=_APART)
-    most = np.argsort(-shape["peak_heights"])[:MAX_ONSETS]
-    frames = np.sort(frames[most])
+    frames = np.sort(_peaks(rise)[:MAX_ONSETS])
     picked = [moment_of(samples, frame * hop, heard_hz) for frame in frames.tolist()]
     own = np.maximum(after[:, frames] - before[:, frames], 1e-12 + 0.05 * after[:, frames])
     colours_db = 10 * np.log10(own)
@@ -167,20 +164,47 @@ def onsets(sound: Sound) -> Onsets:
     return found.only(~np.any((since_s > 0) & (since_s < _ECHO_S) & louder, axis=1))
 
 
+def _peaks(rise: Array) -> NDArray[np.intp]:
+    """Find the frames in which it rises most, no two nearer than `_APART`, the highest first."""
+    # A plateau is a peak in its middle.
+    edges = np.flatnonzero(np.diff(rise, prepend=np.nan, append=np.nan) != 0)
+    first, last = edges[:-1], edges[1:] - 1
+    inner = (first > 0) & (last < len(rise) - 1)
+    first, last = first[inner], last[inner]
+    above = (rise[first] > rise[first - 1]) & (rise[first] > rise[last + 1])
+    frames = ((first + last) // 2)[above & (rise[first] >= _MIN_RISE_DB)]
+    kept = np.ones(len(frames), dtype=bool)
+    order = np.argsort(rise[frames])[::-1]
+    for at in order.tolist():
+        if kept[at]:
+            kept[np.abs(frames - frames[at]) < _APART] = False
+            kept[at] = True
+    return frames[order[kept[order]]]
+
+
 def _hop(rate_hz: float) -> int:
     return max(round(_HOP_S * rate_hz), 1)
 
 
 def _band_powers(samples: Array, rate_hz: float) -> Array:
-    """Return each band's power in each frame, shape (B, F), without bands above the sound's own."""
-    from scipy.signal import butter, sosfilt
+    """Return each band's power in each frame, shape (B, F), without bands above the sound's own.
+
+    The bands are Butterworth's of the second order, by the bilinear transform, as products of
+    spectra: silence behind the sound takes up what would come round.
+    """
+    from scipy.fft import irfft, next_fast_len, rfft
 
     hop, wide = _hop(rate_hz), max(round(_FRAME_S / _HOP_S), 1)
     edges = [edge for edge in _BAND_EDGES_HZ if edge < 0.46 * rate_hz]
+    size = next_fast_len(len(samples) + math.ceil(_RINGS_S * rate_hz), real=True)
+    spectrum = rfft(samples, size)
+    analog = np.tan(np.arange(len(spectrum)) * (np.pi / size))  # frequencies, prewarped
     found = []
-    for low, high in pairwise(edges):
-        sos = butter(2, (low, high), "bandpass", fs=rate_hz, output="sos")
-        band = np.asarray(sosfilt(sos, samples)) ** 2
+    for low, high in pairwise(np.tan(np.array(edges) * (np.pi / rate_hz))):
+        across = analog * (high - low)
+        turn = analog * analog - low * high  # over `across` it is a low-pass filter's frequency
+        gain = across**2 / (across**2 - turn**2 + 1j * math.sqrt(2) * across * turn)
+        band = irfft(spectrum * gain, size)[: len(samples)] ** 2
         count = len(band) // hop
         short = band[: count * hop].reshape(count, hop).mean(axis=1)
         found.append(short)

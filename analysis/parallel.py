@@ -23,7 +23,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from tunenet_logs.console import BLAS_THREADS
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import UsageError, pip_install
 from tunenet_logs.process import heard, heard_wait, is_silent, signals_held, silence_libraries
 from tunenet_logs.recorders.simulators.known import ENGINE_VARIABLE
 from tunenet_logs.terminal import Progress
@@ -131,7 +131,7 @@ def _connected(cluster: Cluster) -> Iterator[int]:
         from ray._private import ray_constants
     except ImportError as error:
         raise UsageError(
-            f"--ray needs Ray ({error}); install the extra: pip install 'tunenet-logs[cluster]'"
+            f"--ray needs Ray ({error}); install the extra: {pip_install('cluster')}"
         ) from error
     import logging
 

@@ -96,6 +96,13 @@ class SimulationFit:
         """RMS residual without the noise."""
         return excess(self.rms_percent, self.noise_percent)
 
+    def highest_excess_percent(self, limit_percent: float) -> float:
+        """Return what a true excess of a limit shows, a standard error above it."""
+        square = (limit_percent**2 + self.noise_percent**2) * (
+            1 + (2 / max(self.samples, 2)) ** 0.5
+        )
+        return excess(square**0.5, self.noise_percent)
+
 
 def excess(rms: float, noise: float) -> float:
     """Subtract the noise in quadrature from a root mean square."""

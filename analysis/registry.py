@@ -10,7 +10,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import UsageError, pip_install
 
 if TYPE_CHECKING:
     from tunenet_logs.analysis.estimators.base import Estimator
@@ -29,7 +29,7 @@ def needed(module: str, extra: str = "eval") -> ModuleType:
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] != top:
             raise  # it is there, and lacks something of its own
-        raise UsageError(f"{top} is not installed; pip install 'tunenet-logs[{extra}]'") from error
+        raise UsageError(f"{top} is not installed; {pip_install(extra)}") from error
 
 
 # ---- Experiments and methods: name -> module:class.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from tunenet_logs.episode import Array
@@ -31,22 +29,34 @@ def correlation_time(residuals: Array, unknowns: int) -> float:
     return max(1 + 2 * sum(lags[:lasting]), (1 + first) / (1 - first) if lasting > 2 else 1.0)
 
 
-def noise_of(heights: Array) -> float:
+def noise_of(heights: Array, seconds: Array | None = None) -> float:
     """Estimate the noise's standard deviation of heights, shape (T,), by third differences.
 
-    A parabola has none: they multiply white noise by sqrt(20), and 0.6745 is the median absolute
-    value of a normal distribution.
+    A parabola has none, and 0.6745 is the median absolute value of a normal distribution. Times
+    [s], shape (T,), matter where they are uneven.
     """
-    return float(np.median(np.abs(np.diff(heights, 3)))) / (0.6745 * np.sqrt(20.0))
+    return float(np.median(np.abs(_third_differences(heights, seconds)))) / 0.6745
 
 
-def surer_noise_of(heights: Array) -> float:
+def _third_differences(heights: Array, seconds: Array | None) -> Array:
+    """Return divided differences of a sample and the three after it, as large as its noise."""
+    if seconds is None:
+        return np.diff(heights, 3) / np.sqrt(20.0)  # by which they multiply white noise
+    four = np.lib.stride_tricks.sliding_window_view
+    clock, values = four(seconds, 4), four(heights, 4)
+    apart = (clock[:, :, None] - clock[:, None, :] + np.eye(4)).prod(axis=2)
+    distinct = np.all(apart != 0, axis=1)
+    shares = 1 / apart[distinct]
+    return (shares * values[distinct]).sum(axis=1) / np.linalg.norm(shares, axis=1)
+
+
+def surer_noise_of(heights: Array, seconds: Array | None = None) -> float:
     """Estimate the same by the trimmed mean square of third differences, impacts left out.
 
     It takes a third of the samples for the same certainty.
     """
-    bends = np.diff(heights, 3) / np.sqrt(20.0)
-    usual = noise_of(heights)
+    bends = _third_differences(heights, seconds)
+    usual = noise_of(heights, seconds)
     noise = bends[np.abs(bends) <= _TYPICAL_SDS * usual]
     if not len(noise):
         return usual
@@ -62,17 +72,20 @@ def normalised(logs: Array) -> tuple[Array, float]:
 
 
 def mixture_quantile(probability: float, middles: Array, sds: Array, weights: Array) -> float:
-    """Return a quantile of a Gaussian mixture (Brent's method)."""
-    from scipy.optimize import brentq
+    """Return a quantile of a Gaussian mixture, by Newton's method in a bracket."""
     from scipy.special import ndtr
 
     heavy = weights > 1e-12  # lighter components move no quantile
     middles, sds, weights = middles[heavy], sds[heavy], weights[heavy] / weights[heavy].sum()
     low, high = float((middles - 9 * sds).min()), float((middles + 9 * sds).max())
-    end: Any = brentq(
-        lambda value: float(weights @ ndtr((value - middles) / sds)) - probability,
-        low,
-        high,
-        xtol=1e-9,
-    )
-    return float(end)
+    value = float(weights @ middles)
+    while high - low > 1e-9:
+        off = (value - middles) / sds
+        beyond = float(weights @ ndtr(off)) - probability
+        low, high = (low, value) if beyond > 0 else (value, high)
+        density = float(weights @ (np.exp(-0.5 * off**2) / sds)) / np.sqrt(2 * np.pi)
+        step = beyond / max(density, 1e-9)
+        if abs(step) < 1e-10:
+            break
+        value = value - step if low < value - step < high else (low + high) / 2
+    return value

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import is_dataclass
 from importlib import import_module
@@ -40,9 +41,6 @@ SECTIONS = {
     "A payload": PAYLOAD,
 }
 
-_PARSING = {"returns_multiple_items": False, "returns_named_value": False}
-
-_LISTS = {"parameters": "Arguments", "raises": "Raises"}  # of a docstring: on the page
 _GROUPS = ("What one calls", "What comes out", "What goes in", "Errors")
 
 _HEAD = """\
@@ -50,6 +48,7 @@ _HEAD = """\
 
 <!-- made by `python docs/make_api.py` from the docstrings; change those -->
 """
+_IN_HELP = "Arguments, units and what a call raises are in `help(tn.tune)`, `help(tn.Record)`, ..."
 
 
 def page() -> str:
@@ -63,7 +62,7 @@ def page() -> str:
     )
     assert package.docstring is not None
     assert package.exports is not None
-    parts = [_HEAD, package.docstring.value]
+    parts = [_HEAD, package.docstring.value, _IN_HELP]
     groups: dict[str, list[str]] = {title: [] for title in _GROUPS}
     names = (str(name).strip("'\"") for name in package.exports)
     for name in sorted(names, key=str.lower):
@@ -84,21 +83,22 @@ def _group(name: str, entry: Any) -> str:
 
 
 def _entry(name: str, entry: Any) -> Iterator[str]:
-    """One public name: heading, signature, docstring, and a class's own methods."""
+    """One public name: heading, signature, what it is, and the fields and methods of a class."""
     yield f"### {name}"
     if entry.is_function:
         yield f"```python\n{_signature(name, entry)}\n```"
-    yield from _sections(entry)
-    if not entry.is_class:
+    if entry.docstring is not None:
+        yield _summary(entry)
+    if not entry.is_class or name.endswith("Error"):
         return
+    yield from _fields(entry)
     rows: list[str] = []
     for own_name, member in entry.members.items():
         is_called = member.is_function or "property" in member.labels
         if is_called and not own_name.startswith("_") and member.docstring is not None:
-            whole = f"{name}.{own_name}"
-            title = _signature(whole, member) if member.is_function else whole
-            text = _one_line(member.docstring.parse("google", **_PARSING)[0].value)
-            rows.append(f"- `{title}`: {text}")
+            title = _signature(own_name, member) if member.is_function else own_name
+            text = member.docstring.parse("google")[0].value  # the rest of a short one says columns
+            rows.append(f"- `{title}`: {_one_line(text)}")
     yield "\n".join(rows)
 
 
@@ -106,7 +106,7 @@ def _signature(name: str, function: Any) -> str:
     """As one would write it, an argument a line where it is long."""
     shown: list[str] = []
     for one in function.parameters:
-        if one.name == "self":
+        if one.name in ("self", "cls"):
             continue
         kind = one.kind.value if one.kind else ""
         if kind == "keyword-only" and "*" not in shown:
@@ -117,44 +117,31 @@ def _signature(name: str, function: Any) -> str:
         shown.append(f"{text} = {one.default}" if has_default else text)
     ending = f" -> {function.returns}" if function.returns else ""
     line = f"{name}({', '.join(shown)}){ending}"
-    if len(line) <= 88:
+    if len(line) <= 88 or function.parent.is_class:
         return line
     return f"{name}(\n" + "".join(f"    {one},\n" for one in shown) + f"){ending}"
 
 
-def _sections(entry: Any) -> Iterator[str]:
-    """The docstring, a part at a time."""
-    parsed = [] if entry.docstring is None else entry.docstring.parse("google", **_PARSING)
-    known: dict[str, str] = {}
-    for section in parsed:
-        kind = section.kind.value
-        if kind == "text":
-            yield section.value
-        elif kind == "attributes":
-            known = {one.name: _one_line(one.description) for one in section.value}
-        elif kind in _LISTS:
-            rows = [
-                f"- `{getattr(one, 'name', None) or one.annotation}`: {_one_line(one.description)}"
-                for one in section.value
-            ]
-            yield f"{_LISTS[kind]}:\n\n" + "\n".join(rows)
-        elif kind == "returns":
-            yield "Returns: " + " ".join(_one_line(one.description) for one in section.value)
-    if not entry.is_class:
-        return
+def _summary(entry: Any) -> str:
+    """The first paragraph of its docstring."""
+    return _one_line(entry.docstring.value.split("\n\n")[0])
+
+
+def _fields(entry: Any) -> Iterator[str]:
+    """The fields of a dataclass, inherited ones too; those that are options are a link."""
     kind = getattr(import_module("tunenet_logs"), entry.name, None)
     options = options_in(kind) if isinstance(kind, type) and is_dataclass(kind) else {}
-    if options:
-        names = ", ".join(f"`{name}`" for name in options)
-        yield f"Fields, as [options.md](options.md) explains them: {names}"
-    # Other fields of a dataclass or keys of a TypedDict, with those that it inherits.
-    rows: list[str] = []
-    for name, member in {**entry.inherited_members, **entry.members}.items():
-        is_method = member.is_function or "property" in member.labels
-        if member.is_attribute and not (is_method or name.startswith("_") or name in options):
-            text = known.get(name, "")
-            rows.append(f"- `{name}` (`{member.annotation}`)" + (f": {text}" if text else ""))
-    yield "\n".join(rows)
+    own = [
+        name
+        for name, member in {**entry.inherited_members, **entry.members}.items()
+        if member.is_attribute and "property" not in member.labels and not name.startswith("_")
+    ]
+    for title, names in (
+        ("Fields", [name for name in own if name not in options]),
+        ("Fields that are [options](options.md)", options),
+    ):
+        if names:
+            yield f"{title}: " + ", ".join(f"`{name}`" for name in names)
 
 
 def _one_line(text: str) -> str:
@@ -170,33 +157,41 @@ _OPTIONS_HEAD = """\
 
 <!-- made by `python docs/make_api.py` from the options as they are declared; change those -->
 
-Each option once, by the topics of `--help TOPIC`. In [Python](api.md) those of `tunenet-tune` are
-arguments of `tunenet_logs.tune`, and those of a simulation fields of an order. All other commands
-have few: see their `--help`.
+By the topics of `--help TOPIC`; what both commands have stands first. In [Python](api.md) an option
+of `tunenet-tune` is an argument of `tunenet_logs.tune`, one of a simulation a field of an order, by
+the same name (`--arm-card`: `arm_card`), or the one in brackets. All other commands have few: see
+their `--help`.
 """
 
 
 def options_page() -> str:
     """The text of the page of options."""
-    parts = [_OPTIONS_HEAD]
-    for name in _COMMANDS:
-        parser: Parser = import_module(name).build_parser()
-        for group in parser._action_groups:
-            rows = [_row(action) for action in group._group_actions if action.option_strings]
-            if rows and group.title != "of every command":
-                title = group.title if group.title != "options" else "what everybody needs"
-                head = "| option | in Python | does |\n| --- | --- | --- |\n"
-                parts += [f"## {parser.prog}: {title}", head + "\n".join(rows)]
+    parsers: list[Parser] = [import_module(name).build_parser() for name in _COMMANDS]
+    rows = {
+        (parser.prog, str(group.title).replace("options", "what everybody needs")): [
+            _row(action) for action in group._group_actions if action.option_strings
+        ]
+        for parser in parsers
+        for group in parser._action_groups
+        if group.title != "of every command"
+    }
+    times = Counter(row for own in rows.values() for row in own)
+    parts = [_OPTIONS_HEAD, "## Both", "\n".join(row for row, n in times.items() if n > 1)]
+    for (command, title), own in rows.items():
+        if alone := [row for row in own if times[row] == 1]:
+            parts += [f"## {command}: {title}", "\n".join(alone)]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
 
 def _row(action: argparse.Action) -> str:
+    """An option, its name in Python where that differs, and what it does."""
     choices = ",".join(map(str, action.choices or ()))
     value = action.metavar or (choices and f"{{{choices}}}")
     shown = " ".join(filter(None, (", ".join(action.option_strings), str(value))))
     text = _one_line(str(action.help)).replace("%(prog)s", "the program").replace("%%", "%")
-    known = any(action.dest in options_in(kind) for kind in _KINDS)
-    return f"| `{shown}` | {f'`{action.dest}`' if known else ''} | {text} |"
+    is_known = any(action.dest in options_in(kind) for kind in _KINDS)
+    is_renamed = is_known and f"--{action.dest.replace('_', '-')}" not in action.option_strings
+    return f"- `{shown}`{f' (`{action.dest}`)' if is_renamed else ''}: {text}"
 
 
 # ---- The lists of checks

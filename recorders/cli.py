@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tunenet_logs.console import Parser, Topic, add_options, given, number, options_in, run, whole
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import UsageError, pip_install
 from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.orders import DropOrder, FilmOrder, JointOrder, PayloadOrder, ShotOrder
 from tunenet_logs.recorders.outcome import OutcomeOptions, record_outcome_as_asked
@@ -176,9 +176,7 @@ def _record_joints(arguments: argparse.Namespace, path: Path) -> str:
     try:
         import_module("cyclonedds")
     except ModuleNotFoundError as error:
-        raise UsageError(
-            "--joint-states needs cyclonedds; pip install 'tunenet-logs[ros2]'"
-        ) from error
+        raise UsageError(f"--joint-states needs cyclonedds; {pip_install('ros2')}") from error
     from tunenet_logs.recorders.ros2.recording import record_joints
 
     order = JointOrder(topics=topics, min_free_bytes=round(arguments.min_free * 1e6), **asked)

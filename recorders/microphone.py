@@ -30,7 +30,7 @@ from tunenet_logs.audio import (
     read_sound,
     why_not_kept,
 )
-from tunenet_logs.errors import CameraAwayError, LogError, MicrophoneError, UsageError
+from tunenet_logs.errors import CameraAwayError, LogError, MicrophoneError, UsageError, pip_install
 from tunenet_logs.messages import AUDIO_TOPIC
 from tunenet_logs.recorders.camera.device import opened_within
 from tunenet_logs.recorders.camera.sources import is_file
@@ -588,9 +588,7 @@ def _library() -> ModuleType:
     try:
         import sounddevice
     except ModuleNotFoundError as error:
-        raise UsageError(
-            "--microphone needs sounddevice; pip install 'tunenet-logs[microphone]'"
-        ) from error
+        raise UsageError(f"--microphone needs sounddevice; {pip_install('microphone')}") from error
     except OSError as error:
         raise UsageError(
             "--microphone needs PortAudio, which this system lacks; apt install libportaudio2"

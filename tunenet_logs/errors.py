@@ -1,5 +1,6 @@
 """Errors that users see: each names the file or value, what is wrong, and the remedy."""
 
+from pathlib import Path
 from typing import Self
 
 
@@ -25,6 +26,12 @@ COPY_AGAIN = "copy it again, or record again"
 EXPORT_AGAIN = "copy or export it again"  # the remedy for a table or an export that is not whole
 # The remedy for a file that the system does not give.
 CHECK_DISK = "check its path, its permissions and its disk"
+
+
+def pip_install(extra: str) -> str:
+    """Return the command that installs an extra: of a clone in its folder, else by its name."""
+    is_clone = (Path(__file__).resolve().parents[1] / "pyproject.toml").is_file()
+    return f"pip install -e '.[{extra}]'" if is_clone else f"pip install 'tunenet-logs[{extra}]'"
 
 
 class UsageError(TuneNetError):

@@ -273,7 +273,7 @@ class TopicContents:
         self._decode: Decode | None = None
         self._read: Callable[[Any], Any] = lambda message: message
         self._stacked: StackedDecoder | None = None
-        self._waiting: list[tuple[int, bytes]] = []
+        self._waiting: tuple[list[int], list[bytes]] = [], []  # log stamps [ns], and data
         try:
             if not plan.picks or (self._type and self._type.is_media):
                 self._read_by_type(plan)
@@ -342,21 +342,25 @@ class TopicContents:
             self.finish()
             self._add(log_ns, data)
             return
-        self._waiting.append((log_ns, bytes(data)))
-        if len(self._waiting) >= _MAX_WAITING:
+        self._wait([log_ns], [bytes(data)])
+
+    def _wait(self, log_ns: list[int], data: list[bytes]) -> None:
+        """Let messages wait for more; read all once there are many."""
+        stamps, every = self._waiting
+        stamps += log_ns
+        every += data
+        if len(stamps) >= _MAX_WAITING:
             self.finish()
 
     def finish(self) -> None:
         """Read the messages that wait."""
-        waiting, self._waiting = self._waiting, []
-        if not waiting:
+        (stamps, data), self._waiting = self._waiting, ([], [])
+        if not stamps:
             return
-        stamps, data = zip(*waiting, strict=True)
         ends = np.cumsum([len(one) for one in data])
         begins = np.concatenate([[0], ends[:-1]])
-        heads = np.array(list(zip(stamps, strict=True)), [("log_ns", "<u8")])
-        plain = memoryview(b"".join(data))
-        self.add_all(RawMessages(plain, {}, heads, begins, ends))
+        heads = np.array(stamps, np.uint64).view([("log_ns", "<u8")])
+        self._add_together(RawMessages(memoryview(b"".join(data)), {}, heads, begins, ends))
 
     def _add(self, log_ns: int, data: bytes | memoryview) -> None:
         if not 0 <= log_ns <= LAST_NS:
@@ -377,15 +381,29 @@ class TopicContents:
             self._why = self._why or described(error)
 
     def add_all(self, messages: RawMessages) -> None:
-        """Add contiguous messages, decoding those of one layout at once."""
+        """Add messages of one buffer; few may wait for more to be read with."""
+        log_ns, begins, ends = messages.heads["log_ns"], messages.begins, messages.ends
+        is_usual = (ends - begins).max() <= _MAX_STACKED and log_ns.max() <= LAST_NS
+        if self._stacked is not None and is_usual and len(begins) < _MAX_WAITING // 2:
+            places = zip(begins.tolist(), ends.tolist(), strict=True)
+            data = [bytes(messages.plain[begin:end]) for begin, end in places]
+            self._wait(log_ns.tolist(), data)
+            return
         self.finish()
+        self._add_together(messages)
+
+    def _add_together(self, messages: RawMessages) -> None:
+        """Add messages, decoding those of one layout at once."""
+        log_ns = messages.heads["log_ns"]
+        if self.rows is None and log_ns.max() <= LAST_NS:  # they are only counted
+            self.log_ns.frombytes(log_ns.astype(np.int64).tobytes())
+            return
         if self._stacked is not None and self._add_stacked(self._stacked, messages):
             return
-        stamps = messages.heads["log_ns"].tolist()
-        for log_ns, begin, end in zip(
-            stamps, messages.begins.tolist(), messages.ends.tolist(), strict=True
+        for stamp_ns, begin, end in zip(
+            log_ns.tolist(), messages.begins.tolist(), messages.ends.tolist(), strict=True
         ):
-            self._add(log_ns, messages.plain[begin:end])
+            self._add(stamp_ns, messages.plain[begin:end])
 
     def _add_stacked(self, decode: StackedDecoder, messages: RawMessages) -> bool:
         """Decode messages of few layouts at once; False if there are more, or one is damaged."""

@@ -307,7 +307,10 @@ class JointRows:
         """
         found: list[Signal] = []
         notes: list[str] = []
-        publishers = self._publishers([_by_interface(*one, notes) for one in self._blocks.items()])
+        every = [_by_interface(*one, notes) for one in self._blocks.items() if one[0]]
+        if nameless := self._blocks.get(()):
+            notes.append(f"{nameless.count} messages are of no joint")
+        publishers = self._publishers(every)
         notes = [f"{self.topic}: {note}" for note in dict.fromkeys(notes)]
         if len(publishers) > 1:
             counts = [sum(len(samples.log_ns) for _, samples in blocks) for blocks in publishers]

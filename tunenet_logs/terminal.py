@@ -164,7 +164,7 @@ def _announced(name: str, say: Callable[[str], None]) -> Listener:
         if now_s < next_s or not fraction:
             return
         left_s = (now_s - since_s) * (1 - fraction) / fraction
-        if left_s > 10.0:  # which is worth a word, and again after a while
+        if left_s > 5.0:  # which is worth a word, and again after a while
             next_s = now_s + 30.0
             say(f"{name}: {what}: about {about(left_s)} more")
 

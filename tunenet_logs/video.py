@@ -8,6 +8,7 @@ messages with one compressed frame in each. A damaged frame is left out, and wha
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -51,7 +52,7 @@ def _rgb(picture: VideoFrame, rotation_deg: int, dithered: bool, scale: int) -> 
     from av.error import FFmpegError
 
     try:
-        pixels = np.asarray(picture.to_ndarray(format="rgb24"), np.uint8)
+        pixels = np.asarray(_CONVERTER.of(picture).to_ndarray(), np.uint8)
     except (FFmpegError, ValueError, OverflowError, MemoryError) as error:
         raise LogError(f"a picture of a video cannot be shown ({error})", COPY_AGAIN) from error
     if not dithered and picture.width % scale == picture.height % scale == 0:
@@ -64,6 +65,21 @@ def _rgb(picture: VideoFrame, rotation_deg: int, dithered: bool, scale: int) -> 
         pixels = np.asarray(cv2.GaussianBlur(pixels, (0, 0), 1.0), np.uint8)
     return mean_of_blocks(pixels, scale)
 
+
+class _Converter(threading.local):
+    """Conversion to RGB by a thread: its tables are 1 MB, which a picture of its own would keep."""
+
+    reformat: Callable[..., VideoFrame] | None = None
+
+    def of(self, picture: VideoFrame) -> VideoFrame:
+        """Convert a picture."""
+        from av.video.reformatter import VideoReformatter
+
+        self.reformat = self.reformat or VideoReformatter().reformat
+        return self.reformat(picture, format="rgb24", threads=1)
+
+
+_CONVERTER = _Converter()
 
 # ---- Files
 

@@ -26,7 +26,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from tunenet_logs.addresses import Address, scheme_of, without_secrets
-from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.errors import LogError, UsageError, pip_install
 from tunenet_logs.files import real_path
 from tunenet_logs.formats.registry import (
     file_bytes,
@@ -332,7 +332,7 @@ def _opened(address: Address) -> tuple[Any, str]:
     except ImportError as error:
         raise UsageError(
             f"{address}: {_why(error)}; logs over the network need the extra: "
-            "pip install 'tunenet-logs[remote]'"
+            + pip_install("remote")
         ) from error
     return files, str(path)
 

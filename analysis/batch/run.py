@@ -60,8 +60,6 @@ from tunenet_logs.analysis.record import (
     to_json,
 )
 from tunenet_logs.analysis.result_files import known_sha256, review_of, tuning_of, writable
-from tunenet_logs.analysis.review.ledger import write_overview
-from tunenet_logs.analysis.review.tuning import write_review
 from tunenet_logs.analysis.tuning import provenance_of, tune_log
 from tunenet_logs.console import is_stdout, print_traceback
 from tunenet_logs.errors import LogError, UsageError, WeightsError
@@ -199,6 +197,8 @@ def _write(
     elif episode is not None and (
         episode.signals or episode.picture_topics or episode.sound_topics
     ):
+        from tunenet_logs.analysis.review.tuning import write_review
+
         review = recording.path
         with recording.replacing() as unfinished:
             write_review(tuning, record, unfinished)
@@ -441,6 +441,8 @@ def closing(order: Order, ledger: Ledger) -> None:
         with writable(order.csv.path, _DISK_REMEDY):
             write_csv(ledger, order.csv)
     if order.folder is not None:
+        from tunenet_logs.analysis.review.ledger import write_overview
+
         place = overview_place(order.folder)
         with writable(place.path, _DISK_REMEDY), place.replacing() as unfinished:
             write_overview(ledger.columns, unfinished)

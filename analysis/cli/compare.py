@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tunenet_logs.console import Parser, run
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import UsageError, pip_install
 from tunenet_logs.terminal import one_line
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tunenet_logs.writing.owned_path import OutputPlace
 
 _OPTIONS = {"pairs": "csv"}  # by which an output is asked for that has no option of its own
-_DESCRIPTION = """\
+_DESCRIPTION = f"""\
 Parameters of several tunings side by side with their 95 % intervals, and which of them
 differ by more than these explain. Takes the JSONs that tunenet-tune wrote, and folders
 with them. Tunings of different tasks or presets are shown, and never compared.
@@ -30,7 +30,7 @@ one recording. Restitutions are compared at the lower of two impact speeds where
 slope is known; else it is said that a difference may be the speed's.
 
 --csv FILE also writes the tests, to FILE with _pairs before its suffix. --html and --png
-need matplotlib and Jinja2: pip install 'tunenet-logs[report]'."""
+need matplotlib and Jinja2: {pip_install("report")}."""
 
 _EXAMPLES = """\
   tunenet-compare red.json blue.json

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 from tunenet_logs.analysis.options import jobs_option
 from tunenet_logs.analysis.registry import needed
 from tunenet_logs.console import Parser, run
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import UsageError, pip_install
 from tunenet_logs.terminal import Progress, one_line
 
 if TYPE_CHECKING:
     from tunenet_logs.analysis.report.page import Kind
 
-_DESCRIPTION = """\
+_DESCRIPTION = f"""\
 One page of what was tuned, with everything in it: no network, under 3 MB. The verdict
 first and what to do, parameters with 95 % intervals and what they mean, observed and
 simulated curves, bounces, checks, iterations, the simulator's settings, where it comes
@@ -30,7 +30,7 @@ beside NAME.json; where it is not there, the page says so.
 --png and --pdf write the figures for a paper, a column wide: a name with the suffix gets
 the main one (curves; torques; of several tunings the comparison), a folder all of them.
 --csv writes observed and simulated curves, of an arm those of its torques.
-Needs matplotlib and Jinja2: pip install 'tunenet-logs[report]'."""
+Needs matplotlib and Jinja2: {pip_install("report")}."""
 
 _EXAMPLES = """\
   tunenet-report drop.json -o drop.html

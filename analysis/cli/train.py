@@ -12,16 +12,16 @@ from pathlib import Path
 from tunenet_logs.analysis.options import TuneOptions, jobs_option, ray_option
 from tunenet_logs.analysis.registry import EXPERIMENTS, experiment_named, needed
 from tunenet_logs.console import Parser, add_options, run, whole
-from tunenet_logs.errors import UsageError, WeightsError
+from tunenet_logs.errors import UsageError, WeightsError, pip_install
 from tunenet_logs.recorders.simulators.known import engine_option, in_engine
 from tunenet_logs.terminal import Progress, one_line
 
-_DESCRIPTION = """\
+_DESCRIPTION = f"""\
 Simulate pairs of episodes on all cores, train the network on them, and write its
 weights (safetensors, with what they are for inside). The weights that the package
 ships were written by this command, with its defaults.
 
-Needs the libraries of the extra 'train': pip install 'tunenet-logs[train]'."""
+Needs the libraries of the extra 'train': {pip_install("train")}."""
 
 _EXAMPLES = """\
   tunenet-train drop -o drop.safetensors

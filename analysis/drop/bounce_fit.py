@@ -39,7 +39,7 @@ class BounceFit:
     """Bounce fitted to samples."""
 
     samples: BounceSamples  # what was fitted
-    unknowns: Array  # shape (16,), see `bounce_model`
+    unknowns: Array  # shape (19,), see `bounce_model`
     free: tuple[int, ...]  # which of them were fitted
     residuals: Array  # in the positions' unit, shape (T,)
     scale: float  # robust standard deviation of them, not below the samples' noise
@@ -90,7 +90,7 @@ class BounceFit:
 
     def projection(self) -> Projection:
         """Return the fitted camera and ball."""
-        values, rates = self.unknowns.tolist(), self.samples.bend_rates(self.unknowns).tolist()
+        values, samples = self.unknowns.tolist(), self.samples
         return Projection(
             contact=values[CONTACT],
             span=values[SPAN],
@@ -99,7 +99,9 @@ class BounceFit:
             fall_time_s=float(np.exp(values[FALL])),
             bounce=self.samples.bounce(self.unknowns),
             residual_rms=float(np.sqrt(np.mean(self.residuals**2))),
-            bends=tuple(zip(self.samples.bends_s, rates, strict=True)),
+            moves=tuple(zip(samples.moves_s, samples.rates(self.unknowns).tolist(), strict=True)),
+            lift=samples.lift(self.unknowns),
+            leans=(samples.seconds, samples.lean(self.unknowns)),
         )
 
 
@@ -113,7 +115,7 @@ def fit_bounce(
 ) -> BounceFit:
     """Fit the posterior mode: Student's t by reweighting (Lange et al. 1989), Levenberg-Marquardt.
 
-    It starts at all unknowns, shape (16,), fits the `free` ones, and ends after `most` iterations
+    It starts at all unknowns, shape (19,), fits the `free` ones, and ends after `most` iterations
     or below a `gain` in cost a sample; without a `scale` [positions' unit] that is estimated, too.
     """
     low, high = LOW.copy(), HIGH.copy()
@@ -123,7 +125,7 @@ def fit_bounce(
     low[SPAN] = 1e-3 * start[SPAN]
     unknowns = np.clip(start, low, high)
     residuals = samples.residuals(unknowns)
-    first = scale or _scale(residuals, samples.noise)
+    first = scale or scale_of(residuals, samples.noise)
     fit = BounceFit(samples, unknowns, free, residuals, first)
     chosen = list(free)
 
@@ -152,7 +154,7 @@ def fit_bounce(
         better, cost, damping = damped_step(stepped, cost, damping, _DAMPING)
         fit = better or fit
         gained = before - cost
-        new = scale or _scale(fit.residuals, samples.noise)
+        new = scale or scale_of(fit.residuals, samples.noise)
         settled = gained < gain * len(samples.seconds) and abs(new / fit.scale - 1) < 0.01
         fit = replace(fit, scale=new)
         cost = fit.cost(new)
@@ -167,7 +169,7 @@ def best_of(fits: list[BounceFit]) -> BounceFit:
     return min(fits, key=lambda fit: fit.cost(scale))
 
 
-def _scale(residuals: Array, noise: float) -> float:
+def scale_of(residuals: Array, noise: float) -> float:
     """Estimate the standard deviation by the median absolute residual, not below the noise."""
     return max(noise, 1.4826 * float(np.median(np.abs(residuals))))  # of a normal distribution
 
@@ -222,14 +224,15 @@ def without_impact_samples(fit: BounceFit) -> BounceSamples:
     if correlation_time(fit.residuals, len(fit.free)) > 1:
         # A filter rounds the samples beside an impact.
         reach = np.maximum(reach, 1.5 * median_step(times))
-    longest = np.minimum(np.diff(starts, prepend=-1.0), np.diff(starts, append=np.inf))
+    begins = starts - ball.contact
+    longest = np.minimum(np.diff(begins, prepend=-1.0), np.diff(begins, append=np.inf))
     reach = np.maximum(np.minimum(reach, 0.15 * longest), least)  # most of a flight stays
     # Which times are farther from all impacts than each reaches, shape (T,).
-    after = np.searchsorted(starts, times, side="right")
+    after = np.searchsorted(begins, times, side="right")
     before, later = np.maximum(after - 1, 0), np.minimum(after, len(starts) - 1)
     kept = (
-        (np.abs(times - starts[before]) > reach[before])
-        & (np.abs(starts[later] - times) > reach[later])
+        ((times < begins[before]) | (times - starts[before] > reach[before]))
+        & ((times > begins[later]) | (begins[later] - times > reach[later]))
     ) | (times > starts[-1])
     few = np.count_nonzero(kept) < max(MIN_SAMPLES, 0.5 * len(times))
     return samples if few else samples.only(kept)

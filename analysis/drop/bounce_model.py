@@ -2,14 +2,17 @@
 
 The ball is in closed form (`Bounce`): its restitution e at the first impact, how that falls with
 speed, and the air's drag. The camera is a projective map of the vertical: a height u [drop heights]
-above contact appears at A + B phi(u), phi(u) = e^k u / (1 + (e^k - 1) u). Recorded positions are a
-film whose camera is known: no perspective k, and the span B is the drop height, as far as the log's
-metres are metres. Impacts that were heard, too, are further measurements (`AudioImpacts`): the
-sound is late by an offset that is unknown, and contacts last.
+above contact appears at A + B phi(u), phi(u) = e^k u / (1 + (e^k - 1) u). A ball that also goes
+sideways changes its distance by a fraction d, and appears at A + (B e^k u + C d) / (1 + (e^k - 1) u
++ d): a pinhole that looks along a slope. Recorded positions are a film whose camera is known: no
+perspective k, and the span B is the drop height, as far as the log's metres are metres. Impacts
+that were heard, too, are further measurements (`AudioImpacts`): the sound is late by an offset that
+is unknown, and contacts last.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -26,6 +29,7 @@ from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 OFFSET_SD_S = 0.1
 # How long a contact lasts: from .3 ms (steel on glass) to 8 ms (a soft ball on a table).
 TOUCH_S, TOUCH_SD_S = 0.002, 0.0025
+SOFT_SD_S = 0.008  # likewise, where pictures show that it lasts
 HEARD_FREEDOM = 4.0  # degrees of freedom of Student's t of a heard time: an onset may be an echo's
 # Prior probability of each standard deviation of an impact's own restitution about the law, as a
 # fraction of it.
@@ -120,28 +124,53 @@ class Projection:
     fall_time_s: float  # T0, without air [s]
     bounce: Bounce  # the ball
     residual_rms: float  # root mean square of the track's residuals
-    # From when on [s] A moves by how much a second, each on top of the others: a ball that goes
-    # sideways comes nearer to the camera or goes away from it, otherwise after each bounce.
-    bends: tuple[tuple[float, float], ...] = ()
+    # From when on [s] its distance grows by how much a second, as a fraction of that of the start,
+    # each on top of the others.
+    moves: tuple[tuple[float, float], ...] = ()
+    lift: float = 0.0  # C, see the module
+    # By how much the camera's roll lowers it along the vertical at these times.
+    leans: tuple[Array, Array] = (np.zeros(1), np.zeros(1))
 
-    def contacts(self, seconds: Array) -> Array:
-        """Return where contact is at these times, shape (T,)."""
-        moved = [rate * np.maximum(seconds - since_s, 0.0) for since_s, rate in self.bends]
-        return self.contact + np.sum([np.zeros(len(seconds)), *moved], axis=0)
+    def farther(self, seconds: Array) -> Array:
+        """Return the change of distance d at these times, shape (T,)."""
+        return since_moves(seconds, [at for at, _ in self.moves]) @ [one for _, one in self.moves]
 
     def heights(self, positions: Array, seconds: Array) -> Array:
         """Convert positions along the vertical at these times to [drop heights], shape (T,)."""
-        fraction = (positions - self.contacts(seconds)) / self.span
-        grow = np.exp(self.perspective)
-        return fraction / np.maximum(grow - (grow - 1) * fraction, _NEAREST)
+        seen, grow = positions + np.interp(seconds, *self.leans) - self.contact, self._grow
+        farther = self.farther(seconds)
+        rises = self.span * grow - (grow - 1) * seen
+        return (seen * (1 + farther) - self.lift * farther) / np.maximum(
+            rises, _NEAREST * self.span
+        )
 
     def positions(self, heights: Array, seconds: Array) -> Array:
         """Project heights [drop heights] at these times onto the vertical, shape (T,)."""
-        return self.contacts(seconds) + self.span * projected(heights, self.perspective)
+        farther, grow = self.farther(seconds), self._grow
+        depth = np.maximum(1 + (grow - 1) * heights + farther, _NEAREST)
+        seen = self.contact + (self.span * grow * heights + self.lift * farther) / depth
+        return seen - np.interp(seconds, *self.leans)
+
+    def straightened(self, positions: Array, seconds: Array) -> Array:
+        """Return where the ball would be seen if it went neither sideways nor away, shape (T,)."""
+        heights = self.heights(positions, seconds)
+        return self.contact + self.span * projected(heights, self.perspective)
+
+    @property
+    def _grow(self) -> float:
+        return float(np.exp(self.perspective))
 
     def ball(self, seconds: Array) -> Array:
         """Return where the ball is at these times, along the vertical, shape (T,)."""
         return self.positions(self.bounce.heights(self.fall_times(seconds)), seconds)
+
+    def touches(self, seconds: Array, beside_s: float = 0.0) -> NDArray[np.bool_]:
+        """Return at which times a contact lasts, or is as near, shape (T,)."""
+        times, beside = self.fall_times(seconds), beside_s / self.fall_time_s
+        ends, _ = self.bounce.flights(float(times.max(initial=0.0)))
+        begins = ends - self.bounce.contact - beside
+        at = np.searchsorted(begins, times, side="right") - 1
+        return (at >= 0) & (times < ends[np.maximum(at, 0)] + beside)
 
     def fall_times(self, seconds: Array) -> Array:
         """Convert times [s] to times [fall times after the first impact], shape (T,)."""
@@ -152,6 +181,11 @@ class Projection:
         last = (until_s - self.impact_s) / self.fall_time_s
         starts, _ = self.bounce.flights(last)
         return starts[starts <= max(last, 0.0)]
+
+
+def since_moves(seconds: Array, moves_s: Sequence[float]) -> Array:
+    """Return the time since each move, 0 before it, shape (T, N) [s]."""
+    return np.maximum(seconds[:, None] - np.array(moves_s), 0.0)
 
 
 def projected(heights: Array, perspective: float | Array, nearest: float = _NEAREST) -> Array:
@@ -177,10 +211,12 @@ def ideal_heights(restitution: Array, times: Array) -> Array:
 # ---- Unknowns of a bounce, and the samples that they are fitted to
 
 # Indices of the unknowns: e, t1 [s], log T0, A, B, k, p, drag times drop height. A and B are in the
-# positions' unit. The unknowns from 8 on are the bends, see `BounceSamples`.
+# positions' unit. The unknowns from 8 on are the moves, see `BounceSamples`.
 RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE, SLOPE, DRAG = range(8)
-# Those of impacts that are heard: by how much the sound is late, how long a contact lasts [s].
-OFFSET, TOUCH = 14, 15
+# By how much the sound is late, where impacts are heard, and how long a contact lasts [s].
+OFFSET, TOUCH = 15, 16
+# Of a ball that goes sideways: the log of the camera's focal length over the usual, its roll [rad].
+FOCAL, ROLL = 17, 18
 # What is fitted first, roughly, of a film: a ball that keeps its restitution, without air.
 IDEAL = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE)
 SLOPE_SD = 0.1  # of the slope p, normal about 0, while fitting: real balls show .03 to .22
@@ -189,16 +225,20 @@ DRAG_SD_1_M = 0.1  # of the drag, likewise: a table-tennis ball has .13, most ot
 # of the earth. Student's t, because some logs' lengths are scaled by hand.
 METRE_SD, METRE_FREEDOM = 0.0008, 2.0
 ANY_SCALE_SD = 0.5  # the same where only the fall itself tells the unit
-# Of the rate at which contact moves through the picture after an impact, B a fall time: a ball that
-# falls 1 m goes sideways by some .1 m/s more or less after each bounce.
-BEND_SD = 0.008
+# Of the rate at which a ball's distance changes from an impact on, as a fraction a fall time: by
+# spin, a hand, or a table that is not level.
+MOVE_SD, MOVE_FREEDOM = 0.04, 2.0  # Student's t: few balls are kicked hard
+# Of a focal length over the picture's longer side: lenses of 50 to 75 degrees, and zooms.
+USUAL_FOCAL, FOCAL_SD = 0.85, 0.35
+ROLL_SD = 0.02  # of the vertical that a tracker finds [rad]
 _KNOWN = 8  # unknowns that have a name
 # Degrees of freedom of Student's t: nearly normal; 10 standard deviations off, a tenth counts.
 FREEDOM = 8.0
-MAX_BENDS = 6  # impacts at which the contact may begin to move
+MAX_MOVES = 7  # of which the first is when it is let go
 # Bounds of the unknowns: wider than any real ball or camera.
-LOW = np.array([0.005, *[-np.inf] * 3, 0.0, -2.5, -0.3, 0.0, *[-np.inf] * MAX_BENDS, -np.inf, 0.0])
-HIGH = np.array([1.0, *[np.inf] * 4, 2.5, 0.5, 2.0, *[np.inf] * MAX_BENDS, np.inf, 0.02])
+_ANY = [-np.inf] * (MAX_MOVES + 1)
+LOW = np.array([0.005, *[-np.inf] * 3, 0.0, -2.5, -0.3, 0.0, *_ANY, 0.0, -0.8, -0.2])
+HIGH = np.array([1.0, *[np.inf] * 4, 2.5, 0.5, 2.0, *np.negative(_ANY), 0.02, 0.8, 0.2])
 _SHORT = 1e-5  # of an unknown of the ball, or of time [fall times], by which it is differentiated
 
 
@@ -224,54 +264,122 @@ class BounceSamples:
     distortion_variance_fraction: float = 0.0
     drag_1_m: float | None = None  # drag that is known [1/m]; None where it is not
     exposure_s: float = 0.0  # for which a shutter may have been open, around the time of a sample
-    # Moments [s] from which on the contact may move through the picture: impacts. Each is an
-    # unknown, the rate in `BEND_SD` B a fall time.
-    bends_s: tuple[float, ...] = ()
+    # Moments [s] from which on the ball's distance may change at another rate: when it is let go,
+    # and impacts. Each is an unknown, the rate in `MOVE_SD` a fall time.
+    moves_s: tuple[float, ...] = ()
+    # What the rates are by the ball's size, in `MOVE_SD` a fall time, and their covariance, shape
+    # (N,) and (N, N); None where no sizes are known.
+    sized: tuple[Array, Array] | None = None
+    across: Array | None = None  # positions across the vertical, shape (T,); None where not known
+    radii: Array | None = None  # of the ball, NaN where not known, shape (T,)
+    center: float = 0.0  # where the picture's centre is along the vertical
+    usual_focal: float = 1.0  # a usual focal length, in the positions' unit
+    is_soft: bool = False  # whether contacts last long enough to be seen
     heard: AudioImpacts | None = None  # impacts that were heard, too; None where none were
 
     @property
     def unknowns(self) -> tuple[int, ...]:
         """Indices of the unknowns that can be fitted to the samples."""
         ball = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, SLOPE, DRAG)
-        bends = range(_KNOWN, _KNOWN + len(self.bends_s))
-        seen = ball if self.in_metres else (*IDEAL, SLOPE, DRAG, *bends)
-        return seen if self.heard is None else (*seen, OFFSET, TOUCH)
+        seen = ball if self.in_metres else (*IDEAL, SLOPE, DRAG)
+        if self.moves_s:
+            seen = (*seen, *self.moving, FOCAL, ROLL)
+        heard = () if self.heard is None else (OFFSET,)
+        return (*seen, *heard, *((TOUCH,) if self.lasts else ()))
+
+    @property
+    def moving(self) -> tuple[int, ...]:
+        """Indices of the rates at which the ball's distance changes."""
+        return tuple(range(_KNOWN, _KNOWN + len(self.moves_s)))
+
+    @property
+    def lasts(self) -> bool:
+        """Whether the duration of contacts is an unknown."""
+        return self.is_soft or self.heard is not None
 
     def part(self, first: int, last: int) -> BounceSamples:
         """Return the samples from index `first` on, before `last`."""
-        return replace(self, seconds=self.seconds[first:last], positions=self.positions[first:last])
+        return self.only(slice(first, last))
 
-    def only(self, chosen: NDArray[np.bool_]) -> BounceSamples:
-        """Return the samples of a mask, shape (T,)."""
-        return replace(self, seconds=self.seconds[chosen], positions=self.positions[chosen])
+    def only(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> BounceSamples:
+        """Return the samples of a mask, shape (T,), of indices or of a range."""
+        return replace(
+            self,
+            seconds=self.seconds[chosen],
+            positions=self.positions[chosen],
+            across=None if self.across is None else self.across[chosen],
+            radii=None if self.radii is None else self.radii[chosen],
+        )
+
+    def moving_until(self, count: int) -> BounceSamples:
+        """Return the samples of a ball that moves otherwise at the first `count` moments alone."""
+        sized = self.sized and (self.sized[0][:count], self.sized[1][:count, :count])
+        return replace(self, moves_s=self.moves_s[:count], sized=sized if count else None)
+
+    def off_by_size(self, unknowns: Array) -> Array:
+        """Return how far the rates are from what the ball's size says, (N,); infinite without."""
+        if self.sized is None:
+            return np.array([np.inf])
+        return np.asarray(self._whitening @ (unknowns[list(self.moving)] - self.sized[0]))
+
+    @cached_property
+    def _whitening(self) -> Array:
+        assert self.sized is not None
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.sized[1])), dtype=np.float64)
 
     def bounce(self, unknowns: Array) -> Bounce:
-        """Build the ball of these unknowns, shape (16,)."""
+        """Build the ball of these unknowns, shape (19,)."""
         ball = Bounce(*unknowns[[RESTITUTION, SLOPE, DRAG]].tolist())
         fall_s = float(np.exp(unknowns[FALL]))
         return replace(
             ball,
             constant_below=MIN_SPEED_M_S / (ball.impact_speed * (GRAVITY_M_S2 * fall_s / 2)),
             starts_in_flight=self.starts_in_flight,
-            contact=float(unknowns[TOUCH]) / fall_s if self.heard else 0.0,
+            contact=float(unknowns[TOUCH]) / fall_s if self.lasts else 0.0,
         )
 
     def residuals(self, unknowns: Array, ball: Bounce | None = None) -> Array:
-        """Return predicted less seen positions, (T,), of unknowns (16,) or of another `ball`."""
+        """Return predicted less seen positions, (T,), of unknowns (19,) or of another `ball`."""
         heights = (ball or self.bounce(unknowns)).heights(self.times(unknowns))
-        shape = projected(heights, float(unknowns[PERSPECTIVE]))
-        moved = self._since_bends_s @ self.bend_rates(unknowns)
-        return unknowns[CONTACT] + unknowns[SPAN] * shape + moved - self.positions
+        return self._predicted(unknowns, heights) - self.positions
 
-    def bend_rates(self, unknowns: Array) -> Array:
-        """Return the contact's speed from each bend on, in the positions' unit/s, shape (N,)."""
-        unit = BEND_SD * unknowns[SPAN] / np.exp(unknowns[FALL])
-        return unit * unknowns[_KNOWN : _KNOWN + len(self.bends_s)]
+    def _predicted(self, unknowns: Array, heights: Array) -> Array:
+        """Return where the ball is along the vertical at these heights, (T,)."""
+        if not self.moves_s:
+            shape = projected(heights, float(unknowns[PERSPECTIVE]))
+            return unknowns[CONTACT] + unknowns[SPAN] * shape
+        grow, farther = float(np.exp(unknowns[PERSPECTIVE])), self.farther(unknowns)
+        depth = np.maximum(1 + (grow - 1) * heights + farther, _NEAREST)
+        seen = (unknowns[SPAN] * grow * heights + self.lift(unknowns) * farther) / depth
+        return unknowns[CONTACT] + seen - self.lean(unknowns)
+
+    def farther(self, unknowns: Array) -> Array:
+        """Return the change of the ball's distance, as a fraction of the start's, (T,)."""
+        return self._since_moves_s @ self.rates(unknowns)
+
+    def rates(self, unknowns: Array) -> Array:
+        """Return the rates at which the distance changes, each on top of the others [1/s], (N,)."""
+        own = unknowns[_KNOWN : _KNOWN + len(self.moves_s)]
+        return np.asarray(own * MOVE_SD / np.exp(unknowns[FALL]), dtype=np.float64)
+
+    def lift(self, unknowns: Array) -> float:
+        """Return C, see the module: a pinhole's, of this focal length, that sees A, B and k."""
+        if not self.moves_s:
+            return 0.0
+        grow, low = float(np.exp(unknowns[PERSPECTIVE])), float(unknowns[CONTACT]) - self.center
+        span, focal = float(unknowns[SPAN]), self.usual_focal * float(np.exp(unknowns[FOCAL]))
+        level = max(span * grow + low * (grow - 1), 0.1 * span)  # of the optical axis, cosine
+        return -low - (grow - 1) * focal**2 / level
+
+    def lean(self, unknowns: Array) -> Array:
+        """Return by how much the camera's roll lowers the ball along the vertical, shape (T,)."""
+        if self.across is None or not self.moves_s:
+            return np.zeros(len(self.seconds))
+        return unknowns[ROLL] * self.across
 
     @cached_property
-    def _since_bends_s(self) -> Array:
-        """Time since each bend, 0 before it, shape (T, N)."""
-        return np.maximum(self.seconds[:, None] - np.array(self.bends_s), 0.0)
+    def _since_moves_s(self) -> Array:
+        return since_moves(self.seconds, self.moves_s)
 
     def jacobian(self, unknowns: Array, free: tuple[int, ...]) -> Array:
         """Return the residuals' Jacobian over the free unknowns, shape (T, len(free))."""
@@ -280,13 +388,22 @@ class BounceSamples:
         at = np.concatenate([times, times + _SHORT]) if timed else times
         heights, later = np.split(self.bounce(unknowns).heights(at), [len(times)])
         grow = float(np.exp(unknowns[PERSPECTIVE]))
-        depth = np.maximum(1 + (grow - 1) * heights, _NEAREST)
-        per_height = unknowns[SPAN] * grow / depth**2
+        farther = self.farther(unknowns) if self.moves_s else np.zeros(len(times))
+        depth = np.maximum(1 + (grow - 1) * heights + farther, _NEAREST)
+        rises = unknowns[SPAN] * grow * (1 + farther) - (grow - 1) * self.lift(unknowns) * farther
+        per_height = rises / depth**2
         columns = {
             CONTACT: np.ones(len(times)),
             SPAN: grow * heights / depth,
             PERSPECTIVE: per_height * heights * (1 - heights),
         }
+        if self.moves_s:
+            usual = self._predicted(unknowns, heights)
+            for index in (CONTACT, SPAN, PERSPECTIVE, FOCAL, ROLL, *self.moving):
+                by = 1e-6 * (float(unknowns[SPAN]) if index in (CONTACT, SPAN) else 1.0)
+                moved = unknowns.copy()
+                moved[index] += by
+                columns[index] = (self._predicted(moved, heights) - usual) / by
         for index in {RESTITUTION, SLOPE, DRAG, TOUCH}.intersection(free):
             moved, by = nudged(unknowns, index, _SHORT)
             columns[index] = per_height * (self.bounce(moved).heights(times) - heights) / by
@@ -294,8 +411,10 @@ class BounceSamples:
             speeds = (later - heights) / _SHORT
             columns[IMPACT] = -per_height * speeds / np.exp(unknowns[FALL])
             columns[FALL] = -per_height * speeds * times
-        unit = BEND_SD * unknowns[SPAN] / np.exp(unknowns[FALL])
-        columns |= dict(enumerate((unit * self._since_bends_s).T, start=_KNOWN))
+            # Rates and contacts are in fall times.
+            own = [index for index in (*self.moving, TOUCH) if index in columns]
+            for index in own:
+                columns[FALL] = columns[FALL] - unknowns[index] * columns[index]
         if OFFSET in free:
             columns[OFFSET] = np.zeros(len(times))
         return np.column_stack([columns[index] for index in free])
@@ -331,8 +450,21 @@ class BounceSamples:
             sd, freedom = (METRE_SD, METRE_FREEDOM) if self.scale_known else (ANY_SCALE_SD, np.inf)
             found.append(Prior({SPAN: 1 / float(unknowns[SPAN]), FALL: -2.0}, off, sd, freedom))
         else:
-            found += [about(_KNOWN + bend, 0.0, 1.0) for bend in range(len(self.bends_s))]
             found.append(about(PERSPECTIVE, 0.0, PERSPECTIVE_SD))
+        if self.moves_s:
+            moves = unknowns[list(self.moving)].tolist()
+            found += [
+                Prior({index: 1.0}, rate, 1.0, MOVE_FREEDOM)
+                for index, rate in zip(self.moving, moves, strict=True)
+            ]
+            found += [about(FOCAL, 0.0, FOCAL_SD), about(ROLL, 0.0, ROLL_SD)]
+        if self.sized is not None:
+            off = self.off_by_size(unknowns)
+            for row, one in zip(self._whitening.tolist(), off.tolist(), strict=True):
+                rates = dict(zip(self.moving, row, strict=True))
+                found.append(Prior(rates, one, 1.0, HEARD_FREEDOM))
+        if self.lasts:
+            found.append(about(TOUCH, TOUCH_S, TOUCH_SD_S if self.heard else SOFT_SD_S))
         if self.heard is None:
             return found
         # Of the sound's offset and the contacts, and the times as measurements.
@@ -346,7 +478,7 @@ class BounceSamples:
         slopes[FALL] = times_s - unknowns[IMPACT] - slopes[TOUCH] * unknowns[TOUCH]
         slopes[IMPACT] = slopes[OFFSET] = np.ones(len(times_s))
         off_s = times_s + unknowns[OFFSET] - heard.times_s
-        found += [about(OFFSET, 0.0, OFFSET_SD_S), about(TOUCH, TOUCH_S, TOUCH_SD_S)]
+        found.append(about(OFFSET, 0.0, OFFSET_SD_S))
         white = heard.whitening
         moves = {index: (white @ each).tolist() for index, each in slopes.items()}
         for at, off in enumerate((white @ off_s).tolist()):

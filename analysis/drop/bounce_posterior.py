@@ -343,8 +343,9 @@ def ball_posterior(fit: BounceFit) -> BallPosterior:
         axes.append((np.concatenate(middles), np.concatenate(sds), np.concatenate(shared)))
     means = [float(weights @ middles) for middles, _, weights in axes]
     ends = np.array([[mixture_quantile(at, *axis) for at in (0.025, 0.975)] for axis in axes])
-    # Without the factor 1.1 too few intervals of films cover.
-    wider = _profile_factors(fit, factor) * (1 if fit.samples.in_metres else 1.1)
+    # Without these factors too few intervals of films cover.
+    in_picture = 1.4 if fit.samples.moves_s else 1.25 if fit.samples.is_soft else 1.1
+    wider = _profile_factors(fit, factor) * (1 if fit.samples.in_metres else in_picture)
     ends[0] = means[0] + (ends[0] - means[0]) * wider
     ends = np.clip(ends, [[0.0], [-np.inf], [0.0]], [[1.0], [np.inf], [np.inf]])
     held = fit.unknowns.copy()
@@ -441,7 +442,8 @@ def _profile_factors(fit: BounceFit, factor: float) -> Array:
     normal[0, 0] += ANY_RESTITUTION_SD**-2
     variance = float(np.linalg.pinv(normal)[0, 0]) * factor
     sd = max(float(np.sqrt(max(variance, 0.0))), least)
-    if sd < 0.03:  # farther off than this factor it found another minimum
+    # Farther off than this factor it found another minimum, or none yet.
+    if sd < 0.03 or fit.unknowns[RESTITUTION] > 0.3:
         return np.array([np.clip(_profiled(fit, factor, side, sd), 0.8, 2.5) for side in (-1, 1)])
     # Near 0 a rebound grows with its square, which no normal likelihood describes: search the ends.
     factors: list[float] = []
@@ -466,7 +468,8 @@ def _profiled(fit: BounceFit, factor: float, side: int, sd: float) -> float:
     start = fit.unknowns.copy()
     start[RESTITUTION] = at
     others = tuple(index for index in fit.free if index != RESTITUTION)
-    held = fit_bounce(fit.samples, start, others, most=10, gain=1e-5, scale=fit.scale)
+    most = 30 if fit.samples.moves_s else 10
+    held = fit_bounce(fit.samples, start, others, most=most, gain=1e-5, scale=fit.scale)
     held = replace(held, free=fit.free)
     best = fit.misfit_cost(fit.scale) / factor + fit.prior_cost()
     rise = held.misfit_cost(fit.scale) / factor + held.prior_cost() - best
@@ -605,7 +608,9 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
     scale = fit.scale * np.sqrt(correlation_time(fit.residuals, len(fit.free)))
     camera = fit.unknowns[[IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE]]
     seconds, view = fit.samples.seconds, fit.projection()
-    seen = fit.samples.positions - (view.contacts(seconds) - view.contact)
+    seen = (
+        view.straightened(fit.samples.positions, seconds) if view.moves else fit.samples.positions
+    )
     values = np.concatenate([camera, first])
     # By which the unknowns are differentiated.
     steps = np.concatenate([np.array([1e-6, 1e-6, 1e-4, 1e-4, 1e-5]), np.full(len(first), 1e-6)])

@@ -41,6 +41,7 @@ from tunenet_logs.analysis.drop.times.model import HeardBall, Whitening
 from tunenet_logs.analysis.drop.times.search import BallAmong
 from tunenet_logs.analysis.estimators.base import FitResult, Observation, Step
 from tunenet_logs.analysis.record import SimulationFit, Units
+from tunenet_logs.analysis.statistics import noise_of
 from tunenet_logs.episode import Array, median_step
 from tunenet_logs.recorders.simulators.base import CALIBRATED
 
@@ -53,7 +54,8 @@ DROP = table(
         "first flight seen",
         at_least(0.9, "fall times", ".1f"),
         measures="recorded time after the first impact",
-        passes="{limit} fall times or more; of a thrown ball 0.2",
+        passes="{limit} fall times or more; of a thrown ball 0.2; of a film in which the ball goes "
+        "sideways until the second impact",
         advice="record until the ball lies still",
         invalidates_interval=False,
     ),
@@ -70,8 +72,8 @@ DROP = table(
         at_most(50, "% of the drop height"),
         seen="{value} {unit} sideways",
         measures="sideways travel (of a film up to the second impact)",
-        passes="at most half the drop height; from positions half of the impact's speed times the "
-        "recorded time, if more",
+        passes="at most half the drop height, or half of the impact's speed times the recorded "
+        "time, if more",
         advice="let go without a push, over a level surface",
     ),
     CheckSpec(
@@ -101,6 +103,7 @@ DROP = table(
         seen="{value} % of the drop height apart beyond the noise, rms of {fit.samples} samples",
         more="; {fit.worst_percent:.2f} % at worst",
         measures="tuned rollout less every sample in view, beyond the noise (rms)",
+        passes="at most {limit} % of the drop height, a standard error of so many samples above it",
         advice=_AGAIN,
     ),
     CheckSpec(
@@ -118,6 +121,13 @@ DROP = table(
         measures="error of a fit to the first 60 % of the time on the rest, beyond the noise",
         advice="drop from higher, or record more bounces at a higher rate",
         invalidates_interval=False,
+    ),
+    CheckSpec(
+        "sound agrees",
+        at_most(1.3, "half widths", ".1f"),
+        seen="sound moves the value by {value} {unit} of the interval without it",
+        measures="value with the sound less that without it, over half the latter's 95 % interval",
+        advice="record the sound and the pictures by one device, the microphone near the ball",
     ),
 )
 
@@ -187,14 +197,16 @@ def recording_checks(
     sideways_m: Array,
     most_gap_falls: float = 0.0,
     excused_s: Sequence[float] | Array = (),
-    most_sideways: float = 0.0,
+    most_sideways: float = 0.5,
     sunk_m: float = 0.0,
+    least_seen: float | None = None,
 ) -> list[Check]:
     """Check the recording itself: its length, gaps, table and sideways motion.
 
     `sideways_m` are horizontal positions (T, any); a gap of `most_gap_falls` fall times may be,
     even of many periods, and a sample at `excused_s` may be missing; `most_sideways` is a fraction
-    of the impact's speed; `sunk_m` is how far below the contact the ball is elsewhere.
+    of the impact's speed; `sunk_m` is how far below the contact the ball is elsewhere; `least_seen`
+    fall times after the impact are enough.
     """
     seen, table_level, straight, no_gap, *_ = DROP.values()
     height_m, size, unit = drop.drop_height_m, *_length(drop)
@@ -209,8 +221,6 @@ def recording_checks(
     period_s = median_step(drop.seconds)
     longest_s = float(np.diff(np.union1d(drop.seconds, np.asarray(excused_s))).max())
     most_gap = max(no_gap.limit.value, most_gap_falls * drop.fall_time_s / period_s)
-    # [fall times]: a hand catches a thrown ball before the top of its bounce.
-    least_seen = 0.2 if drop.launched else None
     return [
         seen.measured((drop.seconds[-1] - drop.impact_s) / drop.fall_time_s, least_seen),
         table_level.measured(size * max(below, 0.0), size * floor, unit=unit),
@@ -260,6 +270,16 @@ def sure_check(low: float, high: float, *, fatal: bool | None = None) -> Check:
     return DROP["sure enough"].measured((high - low) / 2, fatal=fatal)
 
 
+def sound_checks(ear: FusedEstimate | None) -> list[Check]:
+    """Check that a sound that is used does not pull away from what is seen."""
+    if ear is None or ear.touches is None:
+        return []
+    off = float(ear.posterior.values[0] - ear.pictures.values[0])
+    low, high = (ear.pictures.interval95[0] - ear.pictures.values[0]).tolist()
+    half = max(high, -low, 1e-4)
+    return [DROP["sound agrees"].measured(abs(off) / half)]
+
+
 def motion_checks(fit: SimulationFit | None) -> list[Check]:
     """Check that the tuned simulator moves as the ball does, and predicts the hold-out.
 
@@ -268,9 +288,9 @@ def motion_checks(fit: SimulationFit | None) -> list[Check]:
     if fit is None:
         return []
     count = fit.samples + fit.left_out
-    own = DROP["samples are the ball's"]
+    fits, own = DROP["simulation fits"], DROP["samples are the ball's"]
     checks = [
-        DROP["simulation fits"].measured(fit.excess_percent, fit=fit),
+        fits.measured(fit.excess_percent, fit.highest_excess_percent(fits.limit.value), fit=fit),
         own.measured(100 * fit.left_out / max(count, 1), fit=fit, count=count),
     ]
     if fit.held_out_percent is not None:
@@ -433,7 +453,8 @@ FILM = table(
         "no pictures missing",
         at_most(1),  # lost one here, one there; the clock's test is for one moment alone
         seen="{value} steps of the ball are far too long for the stamps",
-        measures="steps far too long for their stamps",
+        measures="steps far too long for their stamps, or a conversion from another rate that the "
+        "flight does not tell for sure (one that it tells is undone, and said)",
         advice="use the camera's own file, not a copy at another rate",
     ),
     CheckSpec(
@@ -457,6 +478,13 @@ FILM = table(
         secondary=True,
     ),
     CheckSpec(
+        "bounces upright",
+        at_most(35, "% of the impact's speed"),  # friction on a spinning ball does no more
+        seen="the first impact turns {value} {unit} sideways",
+        measures="change of the sideways speed at the first impact, in the picture",
+        advice=_FLAT,
+    ),
+    CheckSpec(
         "even clock",
         at_most(MAX_CLOCK_GAIN, "", ".1f .0f"),
         seen="log likelihood ratio {value} for missing pictures or another rate, at {at_s:.2f} s",
@@ -465,7 +493,7 @@ FILM = table(
         "impact what follows is left out instead)",
         passes="log likelihood ratio of at most {limit}",
         advice="use the camera's own file, not a copy at another rate; name another ball or none, "
-        "if one was named; a lens that bends less",
+        "if one was named; use a lens that bends less",
     ),
     CheckSpec(
         "seen from a distance",
@@ -479,7 +507,8 @@ FILM = table(
         within(20, "%", "+.0f .0f"),
         seen="grows by {value} %",
         measures="growth of the ball's size at one height",
-        passes="at most {limit} % + 4 standard errors either way",
+        passes="at most {limit} % + 4 standard errors either way; of a ball that goes sideways, "
+        "off what its way makes of its size, 10 % + 2.5 standard errors, and 35 %",
         advice="let go without pushing or spinning the ball",
     ),
     CheckSpec(
@@ -512,6 +541,9 @@ FILM = table(
 )
 
 _SDS = 4.0  # standard errors that are allowed on top of a threshold
+# The same for a ball that goes sideways by the fit, and what is allowed at most: else its size
+# tells nothing of the way.
+_MOVED_SDS, _MOVED_PERCENT = 2.5, 35.0
 
 
 def film_checks(film: FilmedDrop) -> list[Check]:
@@ -536,6 +568,8 @@ def film_checks(film: FilmedDrop) -> list[Check]:
     moving &= fit.fall_times(best.samples.seconds[1:]) > -1
     same = np.abs(np.diff(positions)) < 0.02  # [px]
     repeated = float(np.mean(same[moving])) if np.count_nonzero(moving) > 3 else 0.0
+    across = track.places_px[film.used] @ np.array([film.down_px[1], -film.down_px[0]])
+    across_px = max(noise_of(across, film.drop.seconds), 0.45 if whole else 0.1)  # when rounded
     gains, moments_s = clock_test(film.posterior.fit)
     gain, moment_s = float(gains.max()), float(moments_s[gains.argmax()])
     uneven_s = film.uneven_s
@@ -548,16 +582,40 @@ def film_checks(film: FilmedDrop) -> list[Check]:
         FILM["first impact"].measured(film.left_out),
         FILM["stays in view"].measured(100 * seen),
         FILM["pictures differ"].measured(100 * repeated),
-        FILM["no pictures missing"].measured(0 if lost else long_steps(film.posterior.fit)),
+        _missing_check(film, 0 if lost else long_steps(film.posterior.fit, across_px)),
         parabolas.measured(residual, fatal=lost or worst > 10),  # [%] of 2 % of the samples
         FILM["bounces alike"].measured(
             flights,
             detail="all that are seen" if film.flights is None else None,
             last=flights + 1,
         ),
+        FILM["bounces upright"].measured(100 * _turned(film)),
         FILM["even clock"].measured(gain, at_s=moment_s, left_out=left_out),
         *_distance_checks(film),
     ]
+
+
+def _turned(film: FilmedDrop) -> float:
+    """Return by how much the first impact changes the speed sideways, over the impact's speed."""
+    view, seconds = film.projection, film.drop.seconds
+    times = view.fall_times(seconds)
+    impacts = view.impacts(float(seconds[-1]))
+    end = float(impacts[1]) if len(impacts) > 1 else np.inf
+    speeds: list[float] = []
+    for part in ((times > -0.7) & (times < 0), (times > 0) & (times < end)):
+        if np.count_nonzero(part) < 3:
+            return 0.0
+        speeds.append(float(np.polyfit(times[part], film.sideways[part], 1)[0]))
+    return abs(speeds[1] - speeds[0]) / view.bounce.impact_speed
+
+
+def _missing_check(film: FilmedDrop, steps: int) -> Check:
+    """Check that no pictures are missing; a conversion that could not be undone is the reason."""
+    missing, converted = FILM["no pictures missing"], film.converted
+    if converted is None or converted.is_sure:
+        return missing.measured(steps)
+    detail = f"pictures in a regular pattern: most likely converted {converted.how.words}"
+    return missing.measured(steps, passed=False, detail=detail)
 
 
 def hop_check(film: FilmedDrop, restitution: float) -> Check:
@@ -580,6 +638,8 @@ def _distance_checks(film: FilmedDrop) -> list[Check]:
     if trend is None:
         return checks
     most = grows.limit.value + 100 * _SDS * trend.grows_sd
+    if fit.moves:  # a way that the size has to confirm
+        most = min(grows.limit.value / 2 + 100 * _MOVED_SDS * trend.grows_sd, _MOVED_PERCENT)
     apart = fits.limit.value + _SDS * trend.perspective_sd
     return [
         *checks,
@@ -658,11 +718,13 @@ def size_trend(
         return None
     nearly = projection.perspective or 1e-6
     depth = np.log1p(np.expm1(nearly) * heights) / nearly
+    # By how much the fit has it nearer: where it goes sideways.
+    nearer = -np.log1p(projection.farther(seconds) / (1 + np.expm1(nearly) * heights))
     speed = np.abs(np.gradient(along_px, seconds))
     speed = speed / max(float(speed.max()), 1e-9)
     length = float(np.ptp(times[good]))
     columns = np.column_stack([np.ones(len(times)), depth, times / length, speed])[good]
-    sizes = np.log(radius_px[good])
+    sizes = np.log(radius_px[good]) - nearer[good]
     weights = np.ones(len(sizes))
     found, spread = np.zeros(columns.shape[1]), 0.0
     for _ in range(5):

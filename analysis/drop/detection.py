@@ -205,7 +205,7 @@ class FilmDetection:
     @property
     def _diameter(self) -> float:
         """The ball's diameter in the pictures [drop heights]; NaN where it is not known."""
-        radii_px = self.track.radius_px[self.film.used]
+        radii_px = self.film.track.radius_px[self.film.used]
         known = radii_px[np.isfinite(radii_px)]
         return 2 * float(np.median(known)) / self.film.projection.span if len(known) else np.nan
 
@@ -255,7 +255,9 @@ class FilmDetection:
     def drop(self) -> Drop:
         """Drop with its heights by the film's own scale, which is time."""
         film = self.film
-        return film.drop if self.posterior is film.posterior else drop_by(film, self.posterior)
+        if self.physical and self.posterior is film.posterior:
+            return film.drop
+        return drop_by(film, self.posterior, from_rest=not self.physical)  # the paper's are
 
     @property
     def posterior(self) -> BallPosterior:
@@ -278,19 +280,28 @@ class FilmDetection:
     @cached_property
     def observed(self) -> BounceSamples:
         """Positions of the ball in all pictures from the drop's first one on [px]."""
-        track, film = self.track, self.film
+        film = self.film
+        track = film.track
         found = np.flatnonzero(np.isfinite(track.places_px).all(axis=1))
         stamps_ns, first = np.unique(track.stamps_ns[found], return_index=True)
         along = -(track.places_px[found[first]] @ film.down_px)
         seconds = (stamps_ns - self.start_ns).astype(np.float64) * 1e-9
         inside = (seconds >= self.drop.seconds[0]) & (seconds <= film.end_s)
-        return replace(film.posterior.fit.samples, seconds=seconds[inside], positions=along[inside])
+        across = track.places_px[found[first]] @ np.array([film.down_px[1], -film.down_px[0]])
+        return replace(
+            film.posterior.fit.samples,
+            seconds=seconds[inside],
+            positions=along[inside],
+            across=(across - film.across_px)[inside],
+            radii=None,
+        )
 
     def begun(self, until_s: float) -> BounceFit | None:
         """Fit the samples until `until_s` alone; None where they are too few."""
         fit = self.film.posterior.fit
         samples = fit.samples.only(fit.samples.seconds <= until_s)
-        samples = replace(samples, bends_s=tuple(at for at in samples.bends_s if at < until_s))
+        moves = sum(at < until_s for at in samples.moves_s)
+        samples = samples.moving_until(moves)
         if len(samples.seconds) < MIN_SAMPLES:
             return None
         return fit_bounce(samples, fit.unknowns, samples.unknowns)
@@ -331,6 +342,13 @@ class FilmDetection:
                 )
             return tuple(found)
         film = self.film
+        if film.converted is not None and film.converted.is_sure:
+            found.append(
+                f"the film was converted {film.converted.how.words}: its pictures are placed where "
+                "the ball's flight wants them; the camera's own file tells more"
+            )
+        if film.passes > 1:
+            found.append(f"the film shows the same {film.passes:.1f} times: the first pass is used")
         if film.later_s:
             at = ", ".join(f"{later:.2f} s" for later in film.later_s[:5])
             found.append(

@@ -26,6 +26,7 @@ from tunenet_logs.analysis.drop.checks import (
     recording_checks,
     scale_checks,
     seconds_out_of_view,
+    sound_checks,
     sure_check,
     times_checks,
 )
@@ -177,8 +178,9 @@ class DropFromPositions(BallDrop):
             drop,
             detection.sideways_m,
             0.13 if drop.launched else 0.0,  # fall times on the ground, where no sample is used
-            most_sideways=0.5,  # of the impact's speed, of a ball that rolls off an edge
             sunk_m=detection.sunk_m,
+            # A hand catches a thrown ball before the top of its bounce.
+            least_seen=0.2 if drop.launched else None,
         )
         if not detection.physical:  # the paper's simulator has a drag of its own
             return (*checks, paper_fit_check(last.evaluation.observation, detection.target, drop))
@@ -186,7 +188,8 @@ class DropFromPositions(BallDrop):
         checks += fall_checks(drop, value, detection.units)
         sure = fit and sure_check(*fit.interval95[0], fatal=False)
         checks.append(sure or rebound_check(drop, value))
-        return (*checks, *motion_checks(simulation_fit(detection, last)))
+        heard = sound_checks(detection.ear)
+        return (*checks, *motion_checks(simulation_fit(detection, last)), *heard)
 
     def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
         """Send the drop, or the heights in which none was found."""
@@ -273,6 +276,8 @@ class DropFromFilm(BallDrop):
         assert last.evaluation is not None
         film, drop = detection.film, detection.drop
         fitted = drop.seconds >= film.posterior.fit.samples.seconds[0]
+        if film.posterior.fit.samples.is_soft:  # squashed, its middle is below
+            fitted &= ~film.projection.touches(drop.seconds)
         part = replace(drop, seconds=drop.seconds[fitted], heights_m=drop.heights_m[fitted])
         excused_s = seconds_out_of_view(film)
         excused_s = excused_s[(excused_s > part.seconds[0]) & (excused_s < part.seconds[-1])]
@@ -282,13 +287,16 @@ class DropFromFilm(BallDrop):
         if len(impacts) > 1:
             second_s = view.impact_s + view.fall_time_s * impacts[1]
             sideways_m = sideways_m[part.seconds <= second_s]
+        least_seen = None
+        if view.moves:  # heights alone do not tell a rebound from a way to the side
+            least_seen = 0.1 + (2 * view.bounce.restitution if len(impacts) < 2 else impacts[1])
         checks = [
             FILM["pictures as they were recorded"].measured(
                 not detection.unread, detail=detection.unread or "all of them can be read"
             ),
             *film_checks(film),
             # An impact may hide in a gap of more than 0.4 fall times, even of few pictures.
-            *recording_checks(part, sideways_m, 0.4, excused_s),
+            *recording_checks(part, sideways_m, 0.4, excused_s, least_seen=least_seen),
         ]
         checks += scale_checks(detection)
         if not detection.physical:  # z and y are not to be compared
@@ -296,7 +304,8 @@ class DropFromFilm(BallDrop):
         value = float(last.values[0])
         sure = fit and sure_check(*fit.interval95[0])
         checks.append(sure or hop_check(film, value))
-        return (*checks, *motion_checks(simulation_fit(detection, last)))
+        heard = sound_checks(detection.ear)
+        return (*checks, *motion_checks(simulation_fit(detection, last)), *heard)
 
     def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
         """Send the drop, or the track in which none was found."""

@@ -10,7 +10,7 @@ one for the heights to be true; the restitution does not depend on it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,6 +27,7 @@ from tunenet_logs.analysis.drop.bounce_fit import (
     BounceFit,
     best_of,
     fit_bounce,
+    scale_of,
     with_pre_release_samples,
     without_impact_samples,
 )
@@ -38,27 +39,33 @@ from tunenet_logs.analysis.drop.bounce_model import (
     IDEAL,
     IMPACT,
     LOW,
-    MAX_BENDS,
+    MAX_MOVES,
+    MOVE_SD,
     PERSPECTIVE,
     RESTITUTION,
+    ROLL,
     SLOPE,
     SPAN,
+    TOUCH,
+    TOUCH_S,
+    USUAL_FOCAL,
     BounceSamples,
     Projection,
     ideal_heights,
     projected,
+    since_moves,
 )
 from tunenet_logs.analysis.drop.bounce_posterior import BallPosterior, ball_posterior
 from tunenet_logs.analysis.drop.free_flight import Drop, run_slopes, slope_corners
 from tunenet_logs.analysis.drop.presets import canonical_axis, canonical_observation, paper_axis
 from tunenet_logs.analysis.estimators.base import Observation, resample
-from tunenet_logs.analysis.statistics import noise_of
+from tunenet_logs.analysis.statistics import correlation_time, noise_of
 from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.episode import Array, median_step
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.recorders.simulators.base import CALIBRATED
 from tunenet_logs.recorders.simulators.known import Ball
-from tunenet_logs.timing.arrivals import CorrectedStamps
+from tunenet_logs.timing.arrivals import Conversion, CorrectedStamps, conversions
 
 # ---- Starting points: a grid over ball, fall time and camera, as the cost has dozens of minima
 
@@ -67,7 +74,7 @@ def grid_starts(seconds: Array, along: Array, impact_s: float, count: int) -> li
     """Find the best points of a grid over ideal ball, fall time and perspective, best first.
 
     `seconds` and `along` (up positive), (T,), hold the fall and the bounces; each start has shape
-    (16,), contact and span in closed form, and no two are neighbours on the grid.
+    (19,), contact and span in closed form, and no two are neighbours on the grid.
     """
     seen_s = impact_s - float(seconds[0])
     near = seconds < impact_s + 5.0 * seen_s
@@ -164,11 +171,11 @@ def late_fault(fit: BounceFit) -> tuple[float, int | None] | None:
     return None
 
 
-def long_steps(fit: BounceFit) -> int:
-    """Count steps of the ball between pictures that are far longer than all others.
+def long_steps(fit: BounceFit, noise_px: float) -> int:
+    """Count steps of the ball between pictures that are far longer than the others.
 
     There pictures are missing of which no stamp tells. Steps over an impact, of slow parts, and
-    over stamped gaps are not counted.
+    over stamped gaps are not counted. `noise_px` is the standard deviation of a position.
     """
     samples = fit.samples
     times, period_s = samples.times(fit.unknowns), np.diff(samples.seconds)
@@ -179,14 +186,131 @@ def long_steps(fit: BounceFit) -> int:
     expected = np.diff(samples.positions + fit.residuals)
     chosen = (flight[1:] == flight[:-1]) & (times[:-1] > -1) & (period_s < 1.5 * usual_s)
     chosen &= np.minimum(apart[1:], apart[:-1]) > usual_s / 2
-    # Steps of 6 px and 3 % of the fall tell; one that is 30 % and 5 sds longer is too long.
+    # Steps of 6 px and 3 % of the fall tell; one that is 30 % and 5 sds longer is too long. Missing
+    # pictures scatter the steps themselves, so the sds are of the noise.
     chosen &= np.abs(expected) > max(6.0, 0.03 * float(fit.unknowns[SPAN]))
     if np.count_nonzero(chosen) < _MIN_COUNT:
         return 0
     ratios = np.diff(samples.positions)[chosen] / expected[chosen]
     off = ratios - np.median(ratios)
-    spread = 1.4826 * float(np.median(np.abs(off))) + 0.02
-    return int(np.count_nonzero(off > max(0.3, 5.0 * spread)))
+    sds = np.sqrt(2) * noise_px / np.abs(expected[chosen])
+    return int(np.count_nonzero(off > np.maximum(0.3, 5.0 * sds)))
+
+
+# ---- Pictures that a converter left out or doubled, placed by their pattern and the ball's flight
+
+_SURE_GAIN = 10.0  # log likelihood by which a conversion must explain a track better than none
+_SURE_MARGIN = 6.0  # and better than one that places other pictures
+_ANY_GAIN = 3.0  # from which on it is looked at closely
+_UNEXPLAINED = 4.0  # log likelihood that a doubled picture costs that a conversion does not double
+_COMPARED = 6  # conversions that are fitted, the likeliest by the linearised equations
+_PLACED_APART = 0.25  # pictures of the source: by so much a picture is placed elsewhere
+_FEW_APART = 0.1  # fraction of the pictures: two conversions that place fewer apart are as one
+
+
+@dataclass(frozen=True)
+class ConvertedFilm:
+    """Conversion that a film went through, by the ball's flight."""
+
+    how: Conversion  # the likeliest
+    gain: float  # log likelihood by which it explains the track better than even stamps do
+    is_sure: bool  # whether the pictures are placed by it
+
+    def placed(self, track: Track) -> Track:
+        """Stamp the pictures of a track by the source's clock, each of the source once."""
+        stamps_ns, rows = np.unique(self.how.placed_ns(track.stamps_ns), return_index=True)
+        return replace(track.some(rows), stamps_ns=stamps_ns)
+
+
+def with_noise(samples: BounceSamples, span: float, least_px: float) -> BounceSamples:
+    """Estimate the noise of a film's positions [px], of which the track spans so much."""
+    # Of a picture that is shown twice, one.
+    seconds, first = np.unique(samples.seconds, return_index=True)
+    noise_px = max(noise_of(samples.positions[first], seconds), least_px)
+    distortion_px = 0.0015 * span  # by which a good lens may distort the vertical
+    return replace(
+        samples,
+        noise=max(noise_px, distortion_px),
+        distortion_variance_fraction=max(0.0, 1 - (noise_px / distortion_px) ** 2),
+    )
+
+
+def converted_film(
+    whole: BounceSamples,
+    fit: BounceFit,
+    stamps_ns: NDArray[np.int64],
+    start_ns: int,
+    noisy: Callable[[BounceSamples], BounceSamples],
+) -> ConvertedFilm | None:
+    """Compare all conversions that may have made a film's stamps by their likelihood ratio.
+
+    None where none of them explains the track clearly better than its even stamps do.
+    """
+    samples = fit.samples
+    own_ns = start_ns + np.round(1e9 * samples.seconds).astype(np.int64)
+
+    def moved(how: Conversion) -> BounceFit:
+        """Return the fit on a source's clock, by one step of the linearised equations."""
+        seconds = (how.placed_ns(own_ns) - start_ns) * 1e-9
+        there = noisy(replace(samples, seconds=seconds))
+        off = there.residuals(fit.unknowns)
+        slopes = there.jacobian(fit.unknowns, fit.free)
+        for _ in range(3):  # reweighted: at an impact few samples are far off
+            scale = scale_of(off, there.noise)
+            weights = np.sqrt((FREEDOM + 1) / (FREEDOM + (off / scale) ** 2))
+            known, _ = np.linalg.qr(weights[:, None] * slopes)
+            off = off - (known @ (known.T @ (weights * off))) / weights
+        return replace(fit, samples=there, residuals=off, scale=scale_of(off, there.noise))
+
+    def from_scratch(how: Conversion, there: BounceFit) -> BounceFit:
+        """Return the fit from where one to the whole track on a source's clock begins."""
+        placed_ns = how.placed_ns(start_ns + np.round(1e9 * whole.seconds).astype(np.int64))
+        placed_ns, rows = np.unique(placed_ns, return_index=True)
+        seconds, positions = (placed_ns - start_ns) * 1e-9, whole.positions[rows]
+        try:
+            found, _ = _find_fit(noisy(replace(whole, seconds=seconds, positions=positions)))
+        except _NoDropError:
+            return there
+        start = np.append(found.fit.unknowns[: DRAG + 1], fit.unknowns[DRAG + 1 :])
+        again = fit_bounce(there.samples, start, fit.free)
+        return min(there, again, key=lambda one: one.cost(one.scale))
+
+    within_ns = stamps_ns[(stamps_ns >= own_ns[0]) & (stamps_ns <= own_ns[-1])]
+    every = {how: _UNEXPLAINED * how.unexplained(within_ns) for how in conversions(stamps_ns)}
+    rough = {how: moved(how) for how in every}
+    hows = sorted(every, key=lambda how: every[how] + rough[how].misfit_cost(rough[how].scale))
+    hows = hows[:_COMPARED]
+    surprise = np.array([every[how] for how in hows])
+    fits = [fit_bounce(rough[how].samples, fit.unknowns, fit.free) for how in hows]
+    likely = _likeliest(fit, hows, fits, surprise)
+    if likely is None or likely.gain < _ANY_GAIN:
+        return None
+    if not likely.is_sure:
+        # By even stamps a fit may end in a wrong minimum, from which no conversion finds back.
+        fits = [from_scratch(how, one) for how, one in zip(hows, fits, strict=True)]
+        likely = _likeliest(fit, hows, fits, surprise)
+    return likely if likely is not None and likely.gain > _SURE_GAIN else None
+
+
+def _likeliest(
+    even: BounceFit, hows: Sequence[Conversion], fits: Sequence[BounceFit], surprise: Array
+) -> ConvertedFilm | None:
+    """Return the likeliest conversion by fits to the same pictures, and what is not explained."""
+    if not fits:
+        return None
+    costs = np.array([one.cost(one.scale) for one in fits]) + surprise
+    best = int(costs.argmin())
+    how, fit = hows[best], fits[best]
+    gains = (costs - costs[best]) / fit.samples_as_one
+    gain = float((even.cost(even.scale) - costs[best]) / fit.samples_as_one)
+    apart = [one.samples.seconds - fit.samples.seconds for one in fits]
+    far = [np.abs(one - np.median(one)) * how.source_hz > _PLACED_APART for one in apart]
+    others = [other for other, one in zip(gains, far, strict=True) if one.mean() > _FEW_APART]
+    if not is_good(fit):  # what is left is no noise: it may be something else
+        return ConvertedFilm(how, min(gain, _ANY_GAIN), is_sure=False)
+    return ConvertedFilm(
+        how, gain, gain > _SURE_GAIN and min(others, default=np.inf) > _SURE_MARGIN
+    )
 
 
 # ---- Bounce fitted from an impact on: the samples and flights that one law explains
@@ -206,7 +330,7 @@ class FilmFit(NamedTuple):
     flights: int | None = None
 
 
-def fit_from(whole: BounceSamples, impacts: Sequence[int]) -> FilmFit | None:
+def fit_from(whole: BounceSamples, impacts: Sequence[int]) -> BounceFit | None:
     """Fit a bounce whose first impact is the first of these; None where no fall is seen before."""
     index, last = impacts[0], bounces_end(whole.seconds, whole.positions, impacts)
     best: BounceFit | None = None
@@ -223,17 +347,38 @@ def fit_from(whole: BounceSamples, impacts: Sequence[int]) -> FilmFit | None:
         if best is None or misfit(fit) < 0.7 * misfit(best):
             best = fit
         if is_good(fit):
-            # Bends must explain clearly more: any noise is bent a little, and of 100 straight
-            # ways 1 gains 8.
-            bent = with_bends(fit)
-            scale = min(fit.scale, bent.scale)
-            gained = (fit.misfit_cost(scale) - bent.misfit_cost(scale)) / fit.samples_as_one
-            return FilmFit(bent if gained - bent.prior_cost() + fit.prior_cost() > 8.0 else fit)
-    if best is not None and misfit(best) < _HOPELESS:
-        bent = with_bends(best)
-        if is_good(bent):
-            return FilmFit(bent)
-    return _of_first_flights(whole, impacts, best) if best else None
+            fit = with_contact(whole, without_hand(whole, fit))
+            return with_contact(whole, likelier(fit, with_moves(fit)))
+    return best
+
+
+def _fit_sideways(
+    whole: BounceSamples, impacts: Sequence[int], start: BounceFit | None
+) -> BounceFit | None:
+    """Fit a ball that goes sideways, as far as its size confirms that; None where none fits.
+
+    It starts at a fit of a straight way, or, where that is better, at one to positions that the
+    ball's size makes straight.
+    """
+    if start is not None and misfit(start) >= _HOPELESS:
+        start = None
+    straight, index = straightened(whole, impacts), impacts[0]
+    if straight is not None:
+        first = fall_start(straight.positions, index, 0.8, whole.noise)
+        last = bounces_end(whole.seconds, straight.positions, impacts)
+        enough = min(index - first, last - index) >= _MIN_FALL_SAMPLES
+        part, at_s = straight.part(first, last), float(whole.seconds[index])
+        rough = _rough_fits(part, at_s) if enough else []
+        fit = _finished(straight, rough) if rough else None
+        if fit is not None and (start is None or misfit(fit) < misfit(start)):
+            at = np.searchsorted(whole.seconds, fit.samples.seconds)
+            start = replace(fit, samples=whole.only(at))
+    if start is None:
+        return None
+    moved = with_contact(whole, without_hand(whole, with_moves(start)))
+    # Else a ball that bounces otherwise at each impact would be one that goes sideways.
+    is_confirmed = np.abs(moved.samples.off_by_size(moved.unknowns)).max() < 4.0
+    return moved if is_good(moved) and is_confirmed else None
 
 
 def _of_first_flights(whole: BounceSamples, impacts: Sequence[int], fit: BounceFit) -> FilmFit:
@@ -262,12 +407,231 @@ def _of_first_flights(whole: BounceSamples, impacts: Sequence[int], fit: BounceF
     return FilmFit(fit)
 
 
-def with_bends(fit: BounceFit) -> BounceFit:
-    """Refit with a contact that may move through the picture from each impact on."""
-    impacts_s = fit.projection().impacts(float(fit.samples.seconds[-1]))
-    impacts_s = float(fit.unknowns[IMPACT]) + float(np.exp(fit.unknowns[FALL])) * impacts_s
-    samples = replace(fit.samples, bends_s=tuple(impacts_s[:MAX_BENDS].tolist()))
-    return fit_bounce(samples, fit.unknowns, samples.unknowns, most=60)
+_MOVES_GAIN = (
+    8.0  # log likelihood: any noise bends a way a little, and of 100 straight ways 1 has 8
+)
+_CONTACT_GAIN = 5.0
+
+
+def with_moves(fit: BounceFit) -> BounceFit:
+    """Refit a ball that may also go sideways, otherwise from its release and each impact on."""
+    samples = replace(fit.samples, moves_s=_move_times_s(fit))
+    by_size = _moves_by_size(samples, fit)
+    starts = [fit.unknowns.copy()]
+    if by_size is not None:
+        rates, covariance, perspective = by_size
+        samples = replace(samples, sized=(rates, covariance))
+        # Where the ball is seen from is hard to find beside its way: from several views.
+        for tried in (perspective, *_VIEWS):
+            start = fit.unknowns.copy()
+            start[list(samples.moving)], start[PERSPECTIVE] = rates, tried
+            start[list(_TYPICAL)] = list(_TYPICAL.values())
+            held = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, ROLL)
+            starts.append(fit_bounce(samples, start, held, *_ROUGHLY).unknowns)
+    moved = best_of([fit_bounce(samples, one, samples.unknowns, 40, 1e-5) for one in starts])
+    for _ in range(3):  # it says better than a straight way when the ball was let go
+        known_s = samples.moves_s
+        samples = replace(samples, moves_s=_move_times_s(moved)[: len(known_s)])
+        if len(samples.moves_s) < len(known_s):
+            samples = samples.moving_until(len(samples.moves_s))
+        moved = fit_bounce(samples, moved.unknowns, samples.unknowns, most=60)
+        if abs(samples.moves_s[0] - known_s[0]) < 0.02 * float(np.exp(moved.unknowns[FALL])):
+            break
+    return moved
+
+
+def _move_times_s(fit: BounceFit) -> tuple[float, ...]:
+    """Return when a ball may begin to go otherwise sideways: its release, and impacts [s]."""
+    view = fit.projection()
+    impacts_s = view.impact_s + view.fall_time_s * view.impacts(float(fit.samples.seconds[-1]))
+    release_s = view.impact_s - view.fall_time_s * view.bounce.fall_time
+    release_s = max(release_s, float(fit.samples.seconds[0]))
+    return (release_s, *impacts_s.tolist())[:MAX_MOVES]
+
+
+_VIEWS = (-0.4, -0.1)  # perspectives: a camera a little higher than the ball
+
+
+def straightened(whole: BounceSamples, impacts: Sequence[int]) -> BounceSamples | None:
+    """Estimate where a ball would be seen if it kept its distance; None where sizes tell nothing.
+
+    It is as far as its size says, with a rate of its own from each impact on; and all impacts are
+    on one table, however the camera looks at it.
+    """
+    radii, seconds, along = whole.radii, whole.seconds, whole.positions
+    known = np.isfinite(radii) & (radii > 0) if radii is not None else np.zeros(0, dtype=bool)
+    if radii is None or np.count_nonzero(known) < 3 * MIN_SAMPLES or len(impacts) < 2:
+        return None
+    speed, low = np.abs(np.gradient(along, seconds)), along.min()
+    moves_s = seconds[[fall_start(along, impacts[0], 0.96, whole.noise), *impacts[:MAX_IMPACTS]]]
+    since = since_moves(seconds, moves_s.tolist())
+    columns = [np.ones(len(along)), speed / speed.max(), (along - low) / np.ptp(along), *since.T]
+    found = _robust(np.column_stack(columns)[known], np.log(radii[known]))[0]
+    depth = np.exp(np.clip(-(since @ found[3:]), -1.0, 1.0))
+    straight = whole.center + (along - whole.center) * depth
+    table = np.column_stack([np.ones(len(impacts)), depth[impacts] - 1])
+    slope = np.linalg.lstsq(table, straight[impacts], rcond=None)[0][1]
+    return replace(whole, positions=straight - slope * (depth - 1))
+
+
+def _robust(columns: Array, values: Array) -> tuple[Array, Array, float, Array]:
+    """Regress by reweighting; return coefficients, residuals, their spread and the weights."""
+    weights: Array = np.ones(len(values))
+    found: Array = np.zeros(columns.shape[1])
+    residuals, spread = values, 1.0
+    for _ in range(4):
+        found = np.asarray(
+            np.linalg.lstsq(columns * weights[:, None], values * weights)[0], np.float64
+        )
+        residuals = values - columns @ found
+        spread = 1.4826 * float(np.median(np.abs(residuals))) + 1e-6
+        weights = 1 / np.sqrt(1 + (residuals / spread / 2) ** 2)
+    return found, residuals, spread, weights
+
+
+def _moves_by_size(samples: BounceSamples, fit: BounceFit) -> tuple[Array, Array, float] | None:
+    """Regress the ball's size on its moves: their rates, with covariance, and k.
+
+    None where too few sizes are known. Light and blur change an outline, too, so that no rate is
+    surer than `_SIZE_SD`.
+    """
+    seconds, radii = samples.seconds, samples.radii
+    known = np.isfinite(radii) & (radii > 0) if radii is not None else np.zeros(0, dtype=bool)
+    if radii is None or np.count_nonzero(known) < 3 * MIN_SAMPLES:
+        return None
+    view, fall_s = fit.projection(), float(np.exp(fit.unknowns[FALL]))
+    sizes, speed = np.log(radii[known]), np.abs(np.gradient(samples.positions, seconds))[known]
+    heights = np.clip(view.heights(samples.positions, seconds), 0.0, 1.2)[known]
+    since = since_moves(seconds, samples.moves_s)[known] / fall_s
+    rates, grow, unit = np.zeros(since.shape[1]), 0.0, MOVE_SD
+    covariance = np.eye(len(rates))
+    for _ in range(4):
+        # Linear in depth about the last; a mean of the two heights' logarithms would not be.
+        depth = np.maximum(1 + grow * heights + since @ rates, 0.2)
+        columns = np.column_stack([np.ones(len(sizes)), speed / speed.max(), -heights / depth])
+        columns = np.hstack([columns, -since / depth[:, None]])
+        off = sizes + np.log(depth)
+        off += columns[:, 2] * grow + columns[:, 3:] @ rates
+        found, residuals, spread, weights = _robust(columns, off)
+        grow, rates = float(np.clip(found[2], -0.8, 3.0)), np.clip(found[3:], -1.0, 1.0)
+        together = spread**2 * correlation_time(residuals, columns.shape[1])
+        normal = (columns * weights[:, None]).T @ (columns * weights[:, None]) / together
+        covariance = np.linalg.inv(normal + np.eye(len(normal)))[3:, 3:]  # no rate is above 1
+    covariance = covariance + _SIZE_SD**2 * np.eye(len(rates))
+    return rates / unit, covariance / unit**2, float(np.log1p(grow))
+
+
+_SIZE_SD = 0.01  # of a rate by the ball's size [a fall time], at least
+
+
+def with_contact(whole: BounceSamples, fit: BounceFit) -> BounceFit:
+    """Refit with contacts that last, and without the samples in them, if pictures show that."""
+    if fit.samples.is_soft:
+        return fit
+    samples = replace(fit.samples, is_soft=True)
+    hard = replace(fit, samples=samples, free=(*fit.free, TOUCH))
+    # Rao's score: what a fit would gain.
+    known, _ = np.linalg.qr(fit.samples.jacobian(fit.unknowns, fit.free))
+    column = samples.jacobian(fit.unknowns, (TOUCH,))[:, 0]
+    new = column - known @ (known.T @ column)
+    slope = float(new @ fit.residuals)
+    gain = slope**2 / max(float(new @ new), 1e-9) / fit.scale**2 / fit.samples_as_one / 2
+    if slope > 0 or gain < _CONTACT_GAIN / 2:
+        return fit
+    seconds = whole.seconds
+    inside = (seconds >= samples.seconds[0]) & (seconds <= samples.seconds[-1])
+    every = whole.only(inside)
+    every = replace(every, is_soft=True, moves_s=samples.moves_s, sized=samples.sized)
+    start = fit.unknowns.copy()
+    start[TOUCH] = TOUCH_S
+    soft, outside = fit_bounce(samples, start, samples.unknowns), samples
+    for _ in range(2):
+        outside = without_impact_samples(
+            replace(soft, samples=every, residuals=every.residuals(soft.unknowns))
+        )
+        soft = fit_bounce(outside, soft.unknowns, outside.unknowns, most=60)
+    hard = fit_bounce(replace(outside, is_soft=False), fit.unknowns, fit.free, most=60)
+    return likelier(hard, soft, _CONTACT_GAIN) if is_good(soft) else fit
+
+
+# ---- Hand that still moves the ball when it falls
+
+_LEAST_FREE = 0.55  # fall times before the impact in which a ball must be free
+
+
+def flies_from_s(whole: BounceSamples, fit: BounceFit) -> float | None:
+    """Return when a ball begins to fly freely that is not let go at rest; None where it is.
+
+    Between a fall from rest, for what it becomes, and that moment a hand still moves it: two
+    samples in a row are 4 standard deviations above the flight, or four are 2.5 in the mean. A hand
+    that gives way gains less speed than a fall, so that at its end it is above.
+    """
+    times = whole.times(fit.unknowns)
+    falls = np.flatnonzero((times > -fit.projection().bounce.fall_time) & (times < 0))
+    if len(falls) < 2:
+        return None
+    own = fit.samples
+    moved = replace(whole.only(falls), moves_s=own.moves_s, sized=own.sized, is_soft=own.is_soft)
+    # With what the fit leaves open of samples that it did not see.
+    slopes = moved.jacobian(fit.unknowns, fit.free)
+    inverse = np.linalg.pinv(fit.normal_equations()[0])
+    unsure = np.einsum("ti,ij,tj->t", slopes, inverse, slopes)
+    above = -moved.residuals(fit.unknowns) / np.sqrt(fit.scale**2 + unsure)
+    held = above > 4.0
+    held[1:] &= held[:-1]  # one alone is a wrong position
+    if len(above) >= 4:
+        held[:-3] |= np.convolve(above, np.full(4, 0.25), mode="valid") > 2.5
+    last = np.flatnonzero(held & (times[falls] < -_LEAST_FREE))
+    if not len(last) or last[-1] + 1 >= len(falls):
+        return None
+    return float(whole.seconds[falls[last[-1] + 1]])
+
+
+def without_hand(whole: BounceSamples, fit: BounceFit) -> BounceFit:
+    """Refit without the samples in which a hand still moves the ball.
+
+    Few pictures of a hand bend a fit so that it follows them; one to the lower part of the fall,
+    and to the bounces, foretells where a free ball would have been.
+    """
+    times = fit.samples.times(fit.unknowns)
+    lower = fit.samples.only(times > -_LEAST_FREE)
+    if len(lower.seconds) >= MIN_SAMPLES and np.count_nonzero(np.abs(times) < _LEAST_FREE) >= 6:
+        low = fit_bounce(lower, fit.unknowns, fit.free, most=40)
+        free_s = flies_from_s(whole, low)
+        if free_s is not None:
+            samples = fit.samples.only(fit.samples.seconds >= free_s)
+            fit = fit_bounce(samples, low.unknowns, fit.free, most=60)
+    for _ in range(4):
+        free_s = flies_from_s(whole, fit)
+        if free_s is None or free_s <= fit.samples.seconds[0]:
+            break
+        samples = fit.samples.only(fit.samples.seconds >= free_s)
+        if len(samples.seconds) < MIN_SAMPLES:
+            break
+        fit = fit_bounce(samples, fit.unknowns, fit.free, most=60)
+    return fit
+
+
+_BESIDE = (-0.03, -0.012, 0.012, 0.03)  # of restitution: as far as minima are that look alike
+
+
+def _likeliest_beside(fit: BounceFit) -> BounceFit:
+    """Return the likeliest of minima beside each other: late bounces fit in several ways."""
+    others = tuple(index for index in fit.free if index != RESTITUTION)
+    fits = [fit]
+    for by in _BESIDE:
+        start = fit.unknowns.copy()
+        start[RESTITUTION] += by
+        start = fit_bounce(fit.samples, start, others, *_ROUGHLY).unknowns
+        fits.append(fit_bounce(fit.samples, start, fit.free, most=60))
+    return best_of(fits)
+
+
+def likelier(fit: BounceFit, other: BounceFit, by: float = _MOVES_GAIN) -> BounceFit:
+    """Return the other fit to the same samples if it explains clearly more."""
+    scale = min(fit.scale, other.scale)
+    gained = (fit.misfit_cost(scale) - other.misfit_cost(scale)) / other.samples_as_one
+    return other if gained - other.prior_cost() + fit.prior_cost() > by else fit
 
 
 def _rough_fits(samples: BounceSamples, impact_s: float) -> list[BounceFit]:
@@ -390,6 +754,7 @@ def bounces_end(seconds: Array, along_px: Array, impacts: Sequence[int]) -> int:
 # ---- Reasons why a track shows no drop, in words that say what to do
 
 MIN_FREE = 0.1  # fraction of a way that is free flight below which nothing is let go
+_FEW_SHOWN = 8  # pictures of a fall: of fewer no free flight is told from a carried ball
 
 
 class FreeFlight(NamedTuple):
@@ -414,12 +779,14 @@ def free_flight(track: Track, chosen: NDArray[np.bool_] | None = None) -> FreeFl
     # A fall sags by more in a window than noise does.
     wide_s = np.sqrt(8 * max(3.0, 0.3 * radius) / gravity)
     half = max(2, round(wide_s / period_s / 2))
+    down_px = places @ track.gravity_px / gravity
+    least = max(2.0, 0.2 * radius, 5.0 * noise_of(down_px, seconds.astype(np.float64)))
     free: list[bool] = []
     for middle in range(half, len(seconds) - half):
         part = slice(middle - half, middle + half + 1)
         clock, way = seconds[part] - seconds[middle], places[part]
         gapped = float(np.ptp(clock)) > 3 * half * period_s
-        if gapped or np.linalg.norm(np.ptp(way, axis=0)) < max(2.0, 0.2 * radius):
+        if gapped or np.linalg.norm(np.ptp(way, axis=0)) < least:
             continue
         bend = 2 * np.polyfit(clock, way, 2)[0] - track.gravity_px
         free.append(bool(np.linalg.norm(bend) < 0.4 * gravity))
@@ -451,13 +818,21 @@ def why_not(track: Track, whole: BounceSamples, impacts: list[int], *, fitted: b
     """Explain why no bounce could be fitted; `fitted` if any impact follows a free fall."""
     flight = free_flight(track)
     one_flight = flight.flights == 1 and flight.share > 0.6
+    fall_s = np.sqrt(2 * np.ptp(whole.positions) / np.linalg.norm(track.gravity_px))
+    shown = float(fall_s) / median_step(whole.seconds)  # pictures of a fall from the highest place
+    is_out = bool(impacts) and _leaves_at(track, whole, impacts[0])
+    if shown < _FEW_SHOWN and not (is_out or one_flight):
+        return (
+            f"no bounce is told: {shown:.0f} pictures show a fall, and no more a bounce; at the "
+            "next drop: film at more pictures a second, 60 or more, and from higher"
+        )
     if flight.is_carried:
         return (
             "no bounce is seen: the ball hardly flies, it is carried, held or rolls (free flight "
             f"in {100 * flight.share:.0f} % of its way); at the next drop: let go above the "
             "table, in view, the camera still"
         )
-    if impacts and _leaves_at(track, whole, impacts[0]):
+    if is_out:
         return (
             "no bounce is seen: the ball falls out of the picture, and where it hits is not in "
             "view; at the next drop: keep the table in view"
@@ -485,18 +860,53 @@ def why_not(track: Track, whole: BounceSamples, impacts: list[int], *, fitted: b
 
 
 def _leaves_at(track: Track, whole: BounceSamples, impact: int) -> bool:
-    """Return whether a fall ends at the picture's edge, without the ball about its end."""
+    """Return whether a fall goes on beyond the picture's edge, without the ball about its end."""
     seconds = whole.seconds
-    gap_s = np.diff(seconds[max(impact - 1, 0) : impact + 2]).max(initial=0.0)
-    if gap_s < 1.9 * median_step(seconds):  # no picture of the ball is missing
+    first = max(impact - 1, 0)
+    gaps_s = np.diff(seconds[first : impact + 2])
+    if gaps_s.max(initial=0.0) < 1.9 * median_step(seconds):  # no picture of the ball is missing
         return False
+    at, gap_s = first + int(gaps_s.argmax()), float(gaps_s.max())
     down = track.gravity_px / np.linalg.norm(track.gravity_px)
     axis = int(np.argmax(np.abs(down)))
-    low = track.places_px[track.found][max(impact - 2, 0) : impact + 2, axis]
-    edge = track.size_px[axis] - 1 if down[axis] > 0 else 0
-    # Radii: a falling ball is out of it one picture later.
-    near_px = max(2.0 * float(np.nanmedian(track.radius_px)), np.abs(np.diff(low)).max())
-    return bool(np.abs(low - edge).min() < near_px)
+    size, toward = track.size_px[axis] - 1, np.sign(down[axis])
+    # Distances of the ball's middle from the edge below it, and its speeds toward it [px/s].
+    places = track.places_px[track.found][:, axis]
+    room = size - places if toward > 0 else places
+    speeds = -np.diff(room) / np.diff(seconds)
+    falls = float(speeds[max(at - 1, 0)]) + abs(float(track.gravity_px[axis])) * gap_s / 2
+    rises = max(-float(speeds[at + 1]), 0.0) if at + 1 < len(speeds) else 0.0
+    # Lines before the gap and after it meet where the ball turns.
+    turns_s = (room[at] - room[at + 1] + rises * gap_s) / max(falls + rises, 1e-9)
+    lowest = float(room[at]) - falls * float(np.clip(turns_s, 0.0, gap_s))
+    return lowest < float(np.nanmedian(track.radius_px))
+
+
+# ---- Films that repeat, as pictures made to loop do: the first pass is the film
+
+_SAME_PX = 1.5  # within which the ball is at one place in two passes: several times the noise
+
+
+def pass_length(track: Track) -> int:
+    """Return how many pictures a pass of a film takes that repeats; all where it does not.
+
+    It repeats where the ball is in the same places again, wherever it moves.
+    """
+    places, count = track.places_px, len(track.stamps_ns)
+    moved = np.linalg.norm(np.diff(places, axis=0, prepend=places[:1]), axis=1)
+    quick = np.flatnonzero(moved > 3 * _SAME_PX)  # [px] a picture: no neighbour is as near
+    if len(quick) < MIN_SAMPLES:
+        return count
+    probes = quick[:16:2]
+    for length in range(MIN_SAMPLES, count - int(probes[-1])):
+        if np.linalg.norm(places[probes + length] - places[probes], axis=1).max() > _SAME_PX:
+            continue
+        both = quick[quick + length < count]
+        apart = np.linalg.norm(places[both + length] - places[both], axis=1)
+        is_seen = np.isfinite(apart)
+        if np.count_nonzero(is_seen) >= MIN_SAMPLES and np.mean(apart[is_seen] < _SAME_PX) > 0.9:
+            return length
+    return count
 
 
 # ---- Drop of a track: the first plausible bounce, its camera, and its heights
@@ -514,6 +924,7 @@ class FilmedDrop:
     end_s: float
     used: NDArray[np.bool_]  # which pictures the drop is made of, shape (T,) of the track
     sideways: Array  # distance from the image's vertical [drop heights], shape (used pictures,)
+    across_px: float  # mean position across the vertical, from which its samples' are counted
     drop: Drop  # its heights by the projection, contact at 0
     # How many impacts are before it, after deeper falls, that no drop could be fitted from.
     left_out: int
@@ -522,6 +933,8 @@ class FilmedDrop:
     flights: int | None = None
     # When its clock jumps: what comes later is left out; None where it does not.
     uneven_s: float | None = None
+    converted: ConvertedFilm | None = None  # how the film was converted; None where it was not
+    passes: float = 1.0  # how often the film shows the same again, of which the first is used
 
 
 class _NoDropError(Exception):
@@ -534,7 +947,20 @@ class _NoDropError(Exception):
 
 
 def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> FilmedDrop:
-    """Find and fit the first drop in a track; its clock is 0 at `start_ns`."""
+    """Find and fit the first drop in a track; its clock is 0 at `start_ns`.
+
+    Pictures of a film that was converted are placed on the clock of its source, where that is sure;
+    of one that repeats the first pass is used.
+    """
+    length, count = pass_length(track), len(track.stamps_ns)
+    first = track if length == count else track.some(slice(length))
+    drop = _find_drop(first, start_ns, ball, None)
+    return replace(drop, passes=count / length)
+
+
+def _find_drop(
+    track: Track, start_ns: int, ball: Ball | None, converted: ConvertedFilm | None
+) -> FilmedDrop:
     # The pictures in which the ball is found, each later than the one before.
     known = np.flatnonzero(np.isfinite(track.places_px).all(axis=1))
     latest_ns = np.maximum.accumulate(track.stamps_ns[known])
@@ -547,28 +973,48 @@ def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> F
     seconds = (track.stamps_ns[known] - start_ns).astype(np.float64) * 1e-9
     down = track.gravity_px / np.linalg.norm(track.gravity_px)
     along = -(track.places_px[known] @ down)
+    across = track.places_px[known] @ np.array([down[1], -down[0]])
     span = float(np.ptp(along))
     if span < 15.0:  # no bounce is told from the noise of a track; the checks ask for 40
         raise NotFoundError(too_small(track, span))
     # Rounding to whole pixels is no noise: a ball that lies still is always rounded the same way.
-    noise_px = max(noise_of(along), 0.45 if not np.any(track.places_px[known] % 1) else 0.1)
-    distortion_px = 0.0015 * span  # by which a good lens may distort the vertical
-    whole = BounceSamples(
-        seconds=seconds,
-        positions=along,
-        noise=max(noise_px, distortion_px),
-        distortion_variance_fraction=max(0.0, 1 - (noise_px / distortion_px) ** 2),
-        drag_1_m=ball.drag_1_m if ball else None,
-        exposure_s=min(track.exposure_s, median_step(seconds)),
+    least_px = 0.45 if not np.any(track.places_px[known] % 1) else 0.1
+    noisy = partial(with_noise, span=span, least_px=least_px)
+    whole = noisy(
+        BounceSamples(
+            seconds=seconds,
+            positions=along,
+            noise=least_px,
+            drag_1_m=ball.drag_1_m if ball else None,
+            exposure_s=min(track.exposure_s, median_step(seconds)),
+            across=across - across.mean(),
+            radii=track.radius_px[known],
+            center=-float((np.array(track.size_px) - 1) / 2 @ down),
+            usual_focal=USUAL_FOCAL * max(track.size_px),
+        )
     )
     try:
-        found, impacts, uneven_s = _trusted_fit(whole)
+        first = _find_fit(whole)
+        if converted is None:
+            converted = converted_film(whole, first[0].fit, track.stamps_ns, start_ns, noisy)
+            if converted is not None and converted.is_sure:
+                return _find_drop(converted.placed(track), start_ns, ball, converted)
+        found, impacts, uneven_s = _trusted_fit(whole, first)
     except _NoDropError as error:
         reason = why_not(track, whole, error.impacts, fitted=error.fitted)
         raise NotFoundError(reason) from error
-    posterior = ball_posterior(found.fit)
+    # In little light a shutter is open for most of a picture.
+    step_s = median_step(seconds)
+    if whole.exposure_s and step_s > whole.exposure_s and not is_good(found.fit):
+        with suppress(_NoDropError):
+            blurred = replace(whole, exposure_s=step_s)
+            other = _trusted_fit(blurred, _find_fit(blurred))
+            if misfit(other[0].fit) < 0.8 * misfit(found.fit):
+                found, impacts, uneven_s = other
+    posterior = ball_posterior(_likeliest_beside(found.fit))
     fit = posterior.fit
     projection = fit.projection()
+    free_s = flies_from_s(whole, fit)
     end_s = float(seconds[bounces_end(seconds, along, impacts) - 1])
     before_s = projection.impact_s - projection.fall_time_s / 4
     before = whole.part(0, int(np.searchsorted(seconds, before_s)))
@@ -578,7 +1024,6 @@ def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> F
     last = int(np.searchsorted(seconds, fit.samples.seconds[-1], side="right"))
     used = np.zeros(len(track.stamps_ns), dtype=bool)
     used[known[begin:last]] = True
-    across = track.places_px[used] @ np.array([down[1], -down[0]])
     return FilmedDrop(
         track=track,
         down_px=down,
@@ -586,12 +1031,14 @@ def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> F
         projection=projection,
         end_s=end_s if uneven_s is None else min(end_s, uneven_s),
         used=used,
-        sideways=(across - np.median(across)) / projection.span,
-        drop=_drop(seconds[begin:last], along[begin:last], projection, whole.noise, begin),
+        sideways=(across[begin:last] - np.median(across[begin:last])) / projection.span,
+        across_px=float(across.mean()),
+        drop=_drop(seconds[begin:last], along[begin:last], projection, whole.noise, begin, free_s),
         left_out=len(_deep_falls_s(before, 1.1 * projection.span)),
         later_s=tuple(_deep_falls_s(later, 0.8 * projection.span)),
         flights=found.flights,
         uneven_s=uneven_s,
+        converted=converted,
     )
 
 
@@ -624,16 +1071,27 @@ def image_rows(film: FilmedDrop, start_s: float) -> Observation:
     return Observation(values[:, None], paper_axis(), "time [s]", ("y [picture heights]",))
 
 
-def drop_by(film: FilmedDrop, posterior: BallPosterior) -> Drop:
-    """Reconstruct a film's drop by another posterior of the same pictures."""
+def drop_by(film: FilmedDrop, posterior: BallPosterior, *, from_rest: bool = False) -> Drop:
+    """Reconstruct a film's drop by another posterior of the same pictures, or as one from rest."""
     along = -(film.track.places_px[film.used] @ film.down_px)
     noise_px = film.drop.noise_m / film.drop.drop_height_m * film.projection.span
     view = posterior.fit.projection()
-    return _drop(film.drop.seconds, along, view, noise_px, film.drop.first)
+    free_s = film.drop.release_s if film.drop.launched and not from_rest else None
+    return _drop(film.drop.seconds, along, view, noise_px, film.drop.first, free_s)
 
 
-def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first: int) -> Drop:
-    """Build a drop of positions along the vertical; at rest where 6 samples or more lie still."""
+def _drop(
+    seconds: Array,
+    along: Array,
+    fit: Projection,
+    noise_px: float,
+    first: int,
+    free_s: float | None,
+) -> Drop:
+    """Build a drop of positions along the vertical; at rest where 6 samples or more lie still.
+
+    A ball that flies freely from `free_s` on only is launched there; None for one let go at rest.
+    """
     gravity = CALIBRATED.gravity_m_s2
     height_m = gravity * fit.fall_time_s**2 / 2
     heights = np.clip(fit.heights(along, seconds), -1.0, 2.0)
@@ -641,12 +1099,16 @@ def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first:
     starts, speeds = fit.bounce.flights(last)
     lies_s = fit.impact_s + fit.fall_time_s * float(starts[-1])
     lying = seconds[(seconds > lies_s) & (speeds[-1] == 0)]
+    release_s, release_m = fit.impact_s - fit.fall_time_s * fit.bounce.fall_time, height_m
+    if free_s is not None:
+        fallen = fit.bounce.heights(fit.fall_times(np.array([free_s])))
+        release_s, release_m = free_s, height_m * float(fallen[0])
     return Drop(
         first=first,
         seconds=seconds,
         heights_m=heights * height_m,
-        release_s=fit.impact_s - fit.fall_time_s * fit.bounce.fall_time,
-        release_m=height_m,
+        release_s=release_s,
+        release_m=release_m,
         impact_s=fit.impact_s,
         contact_m=0.0,
         impact_speed_m_s=gravity * fit.fall_time_s,
@@ -658,37 +1120,63 @@ def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first:
         noise_m=noise_px / fit.span * height_m,
         rest_m=0.0 if len(lying) > 5 else float("nan"),
         rest_tolerance_m=height_m,
+        launched=free_s is not None,
     )
 
 
 def _find_fit(whole: BounceSamples) -> tuple[FilmFit, list[int]]:
-    """Fit from the first impact that may be the first one; return the impacts from there on."""
+    """Fit from the first impact that may be the first one; return the impacts from there on.
+
+    A way to the side explains much, so a straight way to the same impact is preferred.
+    """
     impacts = film_impacts(whole.seconds, whole.positions, whole.noise)
     span = float(np.ptp(whole.positions))
-    fitted = False
-    plausible: list[tuple[FilmFit, list[int]]] = []
-    for at in range(min(len(impacts), 6)):  # more of what moves before a drop is a hand's
-        found = fit_from(whole, impacts[at:])
-        if found is None:
-            continue
-        fitted = True
-        view = found.fit.projection()
-        # 0.3 fall times are seen after the impact.
-        seen = view.fall_times(found.fit.samples.seconds[-1:])[0] > 0.3
-        size = abs(np.log(view.span / span)) < 1.2  # of the height over the track's
+
+    def is_plausible(fit: BounceFit) -> bool:
+        """Return whether it is a drop of the track's size, with 0.3 fall times after the impact."""
+        view = fit.projection()
+        seen = view.fall_times(fit.samples.seconds[-1:])[0] > 0.3
+        size = abs(np.log(view.span / span)) < 1.2
         bounces = view.residual_rms / view.span < 0.05
-        if seen and size and bounces and view.bounce.restitution <= 0.995:
-            plausible.append((found, impacts[at:]))
-            if is_good(found.fit):
-                break
+        return bool(seen and size and bounces and view.bounce.restitution <= 0.995)
+
+    good: tuple[FilmFit, list[int]] | None = None  # by more than a straight way, from there on
+    plausible: list[tuple[FilmFit, list[int]]] = []
+    fitted = False
+    for at in range(min(len(impacts), 6)):  # more of what moves before a drop is a hand's
+        those = impacts[at:]
+        if good is not None and whole.seconds[those[0]] > _first_known_s(good[0].fit):
+            break
+        fit = fit_from(whole, those)
+        fitted |= fit is not None
+        if fit is not None and is_good(fit) and is_plausible(fit):
+            return FilmFit(fit), those
+        moved = _fit_sideways(whole, those, fit) if good is None else None
+        if moved is not None and is_plausible(moved):
+            good = FilmFit(moved), those
+        elif fit is not None:
+            found = _of_first_flights(whole, those, fit)
+            if is_plausible(found.fit):
+                plausible.append((found, those))
+                good = plausible[-1] if good is None and is_good(found.fit) else good
+    if good is not None:
+        return good
     if not plausible:
         raise _NoDropError(impacts, fitted)
-    return min(plausible, key=lambda one: 0.0 if is_good(one[0].fit) else misfit(one[0].fit))
+    return min(plausible, key=lambda one: misfit(one[0].fit))
 
 
-def _trusted_fit(whole: BounceSamples) -> tuple[FilmFit, list[int], float | None]:
+def _first_known_s(fit: BounceFit) -> float:
+    """Return a quarter of a fall after the first impact [s]: a later one is another bounce."""
+    view = fit.projection()
+    return view.impact_s + view.fall_time_s / 4
+
+
+def _trusted_fit(
+    whole: BounceSamples, first: tuple[FilmFit, list[int]]
+) -> tuple[FilmFit, list[int], float | None]:
     """Fit the track before its `late_fault`; return its impacts, when a clock is at fault [s]."""
-    (found, impacts), uneven_s = _find_fit(whole), None
+    (found, impacts), uneven_s = first, None
     for _ in range(3):
         fault = late_fault(found.fit)
         if fault is None:

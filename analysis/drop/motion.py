@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.analysis.drop import DENSER, GOOD_DROP, RIGHT_LENGTHS
-from tunenet_logs.analysis.drop.bounce_fit import MIN_SAMPLES, BounceFit
+from tunenet_logs.analysis.drop.bounce_fit import MIN_SAMPLES, BounceFit, fit_bounce
 from tunenet_logs.analysis.drop.bounce_model import BounceSamples, Projection, ideal_heights
 from tunenet_logs.analysis.drop.bounce_posterior import (
     SLOPE_AND_DRAG,
@@ -178,9 +178,17 @@ class _FittedView(NamedTuple):
         return self.noise / self.view.span
 
     def inside(self, detection: AnyDetection, seconds: Array) -> NDArray[np.bool_]:
-        """Return which times are from the release to the last bounce in view."""
+        """Return which times are from the release to the last bounce in view.
+
+        Not in a contact that is seen to last: there the ball is squashed, which no rollout shows.
+        """
         end_s = last_bounce_s(self.view, float(seconds[-1]), self.relative_noise)
-        return (seconds >= detection.drop.release_s) & (seconds <= end_s)
+        if detection.film is not None:  # later flights follow no law that was fitted
+            end_s = min(end_s, float(self.fit.samples.seconds[-1]))
+        inside = (seconds >= detection.drop.release_s) & (seconds <= end_s)
+        if self.samples.is_soft:
+            inside &= ~self.view.touches(seconds, self.samples.exposure_s / 2)
+        return inside
 
 
 def _fitted_view(detection: AnyDetection) -> _FittedView | None:
@@ -194,7 +202,7 @@ def _fitted_view(detection: AnyDetection) -> _FittedView | None:
         samples.noise * float(np.sqrt(1 - samples.distortion_variance_fraction)),
     )
     least = noise / 2 if count > 20 else noise
-    noise = max(surer_noise_of(samples.positions), least) if count > 3 else least
+    noise = max(surer_noise_of(samples.positions, samples.seconds), least) if count > 3 else least
     return _FittedView(posterior.fit, posterior.fit.projection(), samples, noise)
 
 
@@ -217,11 +225,12 @@ def simulation_fit(detection: AnyDetection, last: Step) -> SimulationFit | None:
     off = view.positions(heights[inside], seconds[inside]) - positions[inside]
     off = np.maximum(np.abs(off) - _blurred(samples, view, seconds[inside]), 0.0) / view.span
     kept = _of_the_ball(off, noise / view.span)
+    unsure = np.hypot(noise / view.span, _streaks(samples, view, seconds[inside]))[kept]
     is_film = detection.film is not None
     return SimulationFit(
         rms_percent=100 * float(np.sqrt(np.mean(off[kept] ** 2))),
         worst_percent=100 * float(off[kept].max()),
-        noise_percent=100 * noise / view.span,
+        noise_percent=100 * float(np.sqrt(np.mean(unsure**2))),
         held_out_percent=held_out_percent(detection),
         samples=int(np.count_nonzero(kept)),
         left_out=int(np.count_nonzero(~kept)) + detection.outliers,
@@ -240,8 +249,9 @@ def fit_excess_percent(detection: AnyDetection) -> float | None:
     if len(samples.seconds) < MIN_SAMPLES:
         return None
     off = np.abs(samples.residuals(seen.fit.unknowns)) / seen.view.span
-    off = off[_of_the_ball(off, noise)]
-    return 100 * excess(float(np.sqrt(np.mean(off**2))), noise)
+    kept = _of_the_ball(off, noise)
+    off, unsure = off[kept], np.hypot(noise, _streaks(samples, seen.view, samples.seconds))[kept]
+    return 100 * excess(*(float(np.sqrt(np.mean(one**2))) for one in (off, unsure)))
 
 
 def held_out_percent(detection: AnyDetection) -> float | None:
@@ -269,12 +279,28 @@ def held_out_percent(detection: AnyDetection) -> float | None:
         return None
     begun = ball_posterior(fit).fit
     later = samples.only(rest)
-    off = np.abs(replace(later, bends_s=begun.samples.bends_s).residuals(begun.unknowns))
+    # Sideways it may go anew after each impact: that is the camera's matter, and no prediction.
+    own = seen.fit.samples
+    later = replace(later, moves_s=own.moves_s, sized=own.sized, is_soft=begun.samples.is_soft)
+    new = later.moving[len(begun.samples.moves_s) :]
+    unknowns = begun.unknowns
+    if new:
+        unknowns = fit_bounce(later, unknowns, new, scale=seen.noise).unknowns
+    off = np.abs(later.residuals(unknowns))
     off = np.maximum(off - _blurred(samples, view, later.seconds), 0.0) / view.span
-    off = off[_of_the_ball(off, noise)]
+    kept = _of_the_ball(off, noise)
+    off, streaks = off[kept], _streaks(samples, view, later.seconds)[kept]
     # One in twenty has more.
     chance = 1 + 1.64 * np.sqrt(2 / len(off))  # of a mean square of so few samples
-    return 100 * excess(float(np.sqrt(np.mean(off**2))), noise * np.sqrt(chance))
+    # What the beginning leaves open of the rest, in the mean [drop heights²].
+    normal, _ = begun.normal_equations()
+    moves = later.jacobian(begun.unknowns, begun.free)
+    left = np.einsum("ti,ij,tj->t", moves, np.linalg.pinv(normal), moves).mean() / view.span**2
+    unsure = 1.64**2 * begun.samples_as_one * float(left)
+    return 100 * excess(
+        float(np.sqrt(np.mean(off**2))),
+        float(np.sqrt((noise**2 + np.mean(streaks**2)) * chance + unsure)),
+    )
 
 
 def tuned_motion(detection: AnyDetection, trace: Trace) -> Motion:
@@ -323,6 +349,17 @@ def _blurred(samples: BounceSamples, view: Projection, seconds: Array) -> Array:
         for shift in (0.0, -half_s, half_s)
     )
     return np.where(near, np.maximum(np.abs(early - at), np.abs(late - at)), 0.0)
+
+
+_STREAK_SHARE = 0.05  # of the length of a streak, by which its middle is unsure
+
+
+def _streaks(samples: BounceSamples, view: Projection, seconds: Array) -> Array:
+    """Return how unsure the places of a fast ball are that an open shutter draws out, (T,)."""
+    apart_s = 1e-3 * view.fall_time_s
+    early, late = (view.ball(seconds + shift) for shift in (-apart_s / 2, apart_s / 2))
+    length = samples.exposure_s * np.abs(late - early) / apart_s
+    return np.asarray(_STREAK_SHARE * length / view.span, dtype=np.float64)
 
 
 def matched(seconds: Array, of_rollout: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -158,7 +158,7 @@ def paper_start_s(drop: Drop) -> float:
     """
     period_s = 1 / PAPER_RATE_HZ
     start_s = drop.release_s + period_s / 2
-    if abs(drop.seconds[0] - start_s) < 1.5 * period_s:
+    if abs(drop.seconds[0] - start_s) < 2 * period_s:
         return float(drop.seconds[0] - period_s)
     return start_s
 

@@ -20,7 +20,7 @@ from tunenet_logs.analysis.evaluation.study import (
 )
 from tunenet_logs.analysis.options import jobs_option, json_option
 from tunenet_logs.console import Parser, is_stdout, run, whole
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import UsageError, pip_install
 from tunenet_logs.files import real_path
 from tunenet_logs.terminal import Progress, one_line
 from tunenet_logs.writing.owned_path import OutputPlace
@@ -31,7 +31,7 @@ anew for each seed, and print its figures beside the paper's.
 
 {studies}
 
-Needs the libraries of the extra 'eval': pip install 'tunenet-logs[eval]'."""
+Needs the libraries of the extra 'eval': {install}."""
 
 _EXAMPLES = """\
   tunenet-eval drop                                  (over half an hour on two cores)
@@ -61,7 +61,7 @@ def build_parser() -> Parser:
     )
     parser = Parser(
         "tunenet-eval",
-        _DESCRIPTION.format(studies=studies),
+        _DESCRIPTION.format(studies=studies, install=pip_install("eval")),
         _EXAMPLES,
         failed="a figure could not be made or written",
     )

@@ -46,7 +46,7 @@ class Study:
     options: tuple[str, ...] = ()  # its own
 
 
-_FILMED = ("set-A", "set-B", "set-C", "slope", "drag", "bad", "clips", "transformed")
+_FILMED = ("set-A", "set-B", "set-C", "slope", "drag", "bad", "clips", "home", "transformed")
 STUDIES = {
     "payload": Study(
         "payload",
@@ -104,8 +104,9 @@ STUDIES = {
     "video": Study(
         "video",
         "restitution from tracks of filmed drops, good and bad ones: errors, intervals,\n"
-        'verdicts; only where it is named "bound": what an efficient fit would reach',
-        dict.fromkeys(_FILMED, 200) | {"bound": 400},
+        'verdicts; only where they are named "converted": films shown at another rate,\n'
+        '"bound": what an efficient fit would reach',
+        dict.fromkeys((*_FILMED, "converted"), 200) | {"bound": 400},
         _FILMED,
         targets=200,
     ),

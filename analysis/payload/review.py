@@ -443,9 +443,10 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     if data.fitted is not None:
         entries.append((data.fitted.label, [data.fitted.color]))
 
+    key = draw.log_key(stream, entries)
+
     def with_key(*views: rrb.View, columns: int, name: str = "") -> rrb.Container:
         grid = rrb.Grid(*views, grid_columns=columns)
-        key = draw.log_key(stream, entries)
         return rrb.Vertical(key, grid, row_shares=draw.KEY_SHARES, name=name or None)
 
     arm = log_arm(stream, data)

@@ -623,7 +623,7 @@ def frames_to_show(episode: Episode, topic: str) -> Iterator[Frame]:
     """Yield a topic's frames as recorded; raw ones reduced, if that was done."""
     film = kept_film(episode, topic)
     if film is not None and film.is_bare and not film.is_part and film.pictures:
-        return film.frames()
+        return iter(film.pictures.values())
     return readable_frames(episode, topic)
 
 

@@ -142,7 +142,7 @@ def _half(pair: Array) -> str:
 def _table(
     columns: Columns, logs: Sequence[str], names: Sequence[str], said: Mapping[str, str]
 ) -> str:
-    """Format a row for each log: its values with half of their intervals, and the reason."""
+    """Format a row for each log, its values with half of their intervals; reasons follow."""
     cells: dict[str, list[str]] = {
         "log": [short_name(log, 40) for log in logs],
         "verdict": list(map(str, columns["verdict"])),
@@ -153,14 +153,14 @@ def _table(
             number_words(float(value)) + _half(pair) if np.isfinite(value) else "-"
             for value, pair in zip(_numbers(columns[name]), ends, strict=True)
         ]
-    for name in ("reason", "error"):
-        told = columns.get(name, ())
-        if any(one is not None for one in told):
-            cells[name] = ["-" if one is None else short_name(one, 100) for one in told]
     rows = list(zip(*cells.values(), strict=True))
     lines = [markdown_table(tuple(cells), rows[:_MAX_LISTED])]
     if len(rows) > _MAX_LISTED:
         lines.append(f"{len(rows) - _MAX_LISTED} more are in ledger.parquet")
+    # Below the table, where long ones take several lines: a column would end off the screen.
+    for name in ("reason", "error"):
+        told = zip(logs[:_MAX_LISTED], columns.get(name, ()), strict=False)
+        lines += [f"**{short_name(log, 40)}**: {one_line(one)}" for log, one in told if one]
     return "\n\n".join(lines)
 
 
@@ -174,7 +174,7 @@ def _summary(
 ) -> str:
     """Describe the ledger: counts, the spread of each value, and what is unlike the others."""
     counts = ", ".join(f"{int(np.sum(verdicts == one))} {one}" for one in VERDICT_COLORS)
-    lines = [f"# {len(logs)} logs", f"{counts}.", "Bars: 95 % intervals."]
+    lines = [f"# {len(logs)} logs", f"{counts}.", *(["Bars: 95 % intervals."] if names else [])]
     if any(one.any() for one in unlike.values()):
         lines.append("Pink: unlike the others, by more than their spread and its own interval.")
     for name in names:

@@ -9,6 +9,7 @@ found in any picture.
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -42,9 +43,25 @@ _LARGE, _LARGE_FRACTION, _STRICTER = 30.0, 0.35, 0.65
 # Inverse variances of the values that are fitted. Standard deviations: .25 of the logarithm of the
 # size, .2 of the light, as a whole, to the right and downward; of x and y nothing is known.
 _PRIOR = np.array([0.0, 0.0, 0.25**-2, 0.2**-2, 0.2**-2, 0.2**-2])
+_NO_BALL = 0.6  # misfit of what steps do not improve on
 # Starts around a given one: right and down, in ball radii, and growth (logarithm).
 _STARTS = np.zeros((7, 6))
 _STARTS[1:, :3] = np.kron(np.diag([0.45, 0.45, 0.2]), [[1], [-1]])
+
+
+class _Room(threading.local):
+    """Memory that a thread's fits write to again and again."""
+
+    held = np.empty(0, np.float32)
+
+    def of(self, size: int) -> FloatPicture:
+        """Return room for so many numbers."""
+        if self.held.size < size:
+            self.held = np.empty(size, np.float32)
+        return self.held[:size]
+
+
+_ROOM = _Room()
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,25 +160,45 @@ class DrawnBall:
         And which pixels are mostly ball and in the picture, shape (N, M).
         """
         inside = (self.layers[3] > 0.5) & (patch.inside[self.box] > 0)
-        stands_out = (self.layers[:3] - self.behind * self.layers[3])[:, inside]
-        rms = math.sqrt(float(np.square(stands_out).mean()) + 1.0) if stands_out.size else 1.0
+        stands_out = _mean_square(self.layers[:3] - self.behind * self.layers[3])
+        count = np.count_nonzero(inside)
+        rms = math.sqrt(float(np.vdot(stands_out, inside)) / count + 1.0) if count else 1.0
         return rms, inside
 
-    def jacobian(self, radius: float) -> FloatPicture:
-        """Differentiate by the values of `draw_ball`, (6, 3, N, M); `radius` in patch px."""
-        layers, colours = self.layers, self.layers[:3]
-        slopes = np.zeros((2, *layers.shape), np.float32)  # central differences, doubled
-        np.subtract(layers[:, :, 2:], layers[:, :, :-2], out=slopes[0, :, :, 1:-1])
-        np.subtract(layers[:, 2:], layers[:, :-2], out=slopes[1, :, 1:-1])
-        rows = np.empty((6, *self.off.shape), np.float32)
-        np.multiply(self.behind, slopes[:, 3:], out=rows[:2])
+    def misfit(self, patch: Patch) -> float:
+        """Return the misfit of `Placing`; infinite where no ball is in the picture."""
+        contrast, inside = self.contrast(patch)
+        count = np.count_nonzero(inside)
+        if not count:
+            return math.inf
+        # A pixel of compressed films has a standard deviation of 4 (of 255): no misfit of the ball.
+        squared = float(np.vdot(_mean_square(self.off), inside)) / count
+        return math.sqrt(max(squared - 4.0**2, 0.0)) / contrast
+
+    def jacobian(self, radius: float, room: FloatPicture) -> FloatPicture:
+        """Differentiate by the values of `draw_ball`, (6, 3, N M); `radius` in patch px.
+
+        It lies in `room`, as memory costs more to get than to fill; and pixels lie in one row, as
+        many short ones cost more.
+        """
+        tall, wide = self.layers.shape[1:]
+        layers, behind = self.layers.reshape(4, -1), self.behind.reshape(3, -1)
+        slopes = room[-8 * layers.shape[1] :].reshape(2, 4, -1)  # central differences, doubled
+        np.subtract(layers[:, 2:], layers[:, :-2], out=slopes[0, :, 1:-1])
+        slopes[0].reshape(4, tall, wide)[:, :, [0, -1]] = 0
+        np.subtract(layers[:, 2 * wide :], layers[:, : -2 * wide], out=slopes[1, :, wide:-wide])
+        slopes[1].reshape(4, tall, wide)[:, [0, -1]] = 0
+        rows = room[: 6 * behind.size].reshape(6, 3, -1)
+        np.multiply(behind, slopes[:, 3:], out=rows[:2])
         rows[:2] -= slopes[:, :3]
         rows[:2] *= np.float32(0.5)
-        np.multiply(rows[0], self.x * np.float32(radius), out=rows[2])
-        rows[2] += rows[1] * (self.y * np.float32(radius))
-        rows[3] = colours
-        np.multiply(colours, self.x, out=rows[4])
-        np.multiply(colours, self.y, out=rows[5])
+        x, y = np.tile(self.x[0], tall), np.repeat(self.y[:, 0], wide)
+        np.multiply(rows[0], x * np.float32(radius), out=rows[2])
+        np.multiply(rows[1], y * np.float32(radius), out=rows[3])
+        rows[2] += rows[3]
+        rows[3] = layers[:3]
+        np.multiply(layers[:3], x, out=rows[4])
+        np.multiply(layers[:3], y, out=rows[5])
         return rows
 
 
@@ -189,7 +226,7 @@ def draw_ball(layers: FloatPicture, radius: float, patch: Patch, values: Array) 
     x = np.arange(left - x_px, right - x_px - 0.5, dtype=np.float32)[None] / np.float32(size)
     y = np.arange(top - y_px, bottom - y_px - 0.5, dtype=np.float32)[:, None] / np.float32(size)
     drawn[:3] *= np.float32(1 + light) + np.float32(sideways) * x + np.float32(downward) * y
-    behind = patch.behind[:, box[0], box[1]]
+    behind = np.ascontiguousarray(patch.behind[:, box[0], box[1]])
     off = behind * drawn[3]
     off -= drawn[:3]
     off += patch.apart[:, box[0], box[1]]
@@ -224,7 +261,8 @@ def fit_ball(
     Returns them, and the misfit, see `Placing`; infinite where no ball is in the picture. Each step
     re-estimates the noise, and weighs residuals by Geman and McClure's function. `growth`
     is the prior mean of the log size, `at_first` a factor on the residuals that count little,
-    before the first step: 4 from a start that may be far off.
+    before the first step: 4 from a start that may be far off. What is no ball after the first steps
+    that count no larger ones is left as it is.
     """
     import cv2
 
@@ -234,13 +272,17 @@ def fit_ball(
     if drawn is None:
         return values, np.inf
     strict = max(_LARGE, _LARGE_FRACTION * drawn.contrast(patch)[0])
+    strictly = 0
+    room = _ROOM.of(36 * patch.bare.size)
     for turn in range(10):  # most steps of Gauss-Newton
         squared = drawn.squared(patch)
         large = strict * max(1.0, at_first * _STRICTER**turn)
         weight = patch.inside / np.square(1 + squared * np.float32(large**-2))
         noise = max(float(np.vdot(weight, squared)) / (float(weight.sum()) + 1e-9), 1.0)
-        jacobian = drawn.jacobian(radius)
-        weighted = (jacobian * weight[drawn.box]).reshape(6, -1)
+        jacobian = drawn.jacobian(radius, room).reshape(18, -1)
+        weighted = room[jacobian.size : 2 * jacobian.size].reshape(18, -1)
+        np.multiply(jacobian, weight[drawn.box].reshape(-1), out=weighted)
+        weighted = weighted.reshape(6, -1)
         normal = (weighted @ jacobian.reshape(6, -1).T).astype(np.float64)
         towards = (weighted @ drawn.off.reshape(-1)).astype(np.float64)
         prior = 3 * noise * _PRIOR  # a pixel's three colours err alike: as one
@@ -254,21 +296,22 @@ def fit_ball(
         drawn = draw_ball(layers, radius, patch, values)
         if drawn is None:
             return values, np.inf
+        if large > strict:
+            continue
+        strictly += 1
         # A shorter step is the last: OpenCV moves pictures by whole 32nds of a pixel [px]
-        if large == strict and max(abs(step[0]), abs(step[1])) < 0.03:
+        if max(abs(step[0]), abs(step[1])) < 0.03:
             break
-    contrast, inside = drawn.contrast(patch)
-    if not inside.any():
-        return values, np.inf
-    # A pixel of compressed films has a standard deviation of 4 (of 255): no misfit of the ball.
-    beyond_noise = max(float(_mean_square(drawn.off)[inside].mean()) - 4.0**2, 0.0)
-    return values, math.sqrt(beyond_noise) / contrast
+        if strictly == 2 and drawn.misfit(patch) > _NO_BALL:
+            break
+    return values, drawn.misfit(patch)
 
 
 # ---- Fits of the appearance to pictures, and learning it from them
 
 # Pictures of the ball: the median of fewer is one of them, with what was behind it.
 _MIN_SAMPLES = 3
+_ENOUGH = 0.3  # misfit of a `Placing` below which nothing better is looked for
 _RING_PX = 0.5  # half the width of a ring, and the step from one to the next
 
 
@@ -314,8 +357,8 @@ class Appearance:
             here = patch.there(values[0], values[1])
             if any(fit.is_near(*here) and misfit > fit.misfit for fit in known):
                 return None
-        # A fit that moved a quarter of a radius is run once more from where it ended.
-        if np.hypot(*(values - start)[:2]) > 0.25 * radius:
+        # A good one that moved a quarter of a radius is run once more from where it ended.
+        if misfit < _ENOUGH and math.hypot(*(values - start)[:2]) > 0.25 * radius:
             values, misfit = fit_ball(self.layers, radius, patch, values, growth)
         px, py = patch.there(values[0], values[1])
         # What is farther off than 1.2 radii and 2 px has another start.
@@ -449,8 +492,6 @@ def _straightened(picture: FloatPicture, values: Array, side: int) -> FloatPictu
 
 # ---- Detection of the ball in one picture: where it is expected, else anywhere
 
-_ENOUGH = 0.3  # misfit of a `Placing` below which nothing better is looked for
-
 
 @dataclass(frozen=True, eq=False)
 class BallDetector:
@@ -480,7 +521,7 @@ class BallDetector:
             ]
             # Three blobs of its colour, the most alike first: x, y [px], and how much grown. They
             # may be cut, or have grown together with something else.
-            found = coloured_blobs(picture, self.background, self.ball, self.allowed)
+            found = coloured_blobs(picture, self.background, self.ball, self.allowed, gain)
             apart = np.linalg.norm(found.colours - self.ball.colour, axis=1) / COLOUR_OFF
             apart += np.abs(np.log(found.areas_px / self.ball.area_px))
             best = np.argsort(apart)[:3]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -35,16 +36,17 @@ class Background:
     # where one picture is good for all.
     later: Picture | None = None
 
-    def difference(self, picture: Picture) -> Picture:
+    def difference(self, picture: Picture, gain: float | None = None) -> Picture:
         """Compute the largest difference of the three smooth colours, the light's changes undone.
 
-        Shape (H, W); it is the same array, overwritten, for the next picture.
+        Shape (H, W); it is the same array, overwritten, for the next picture. `gain` is the
+        picture's, where it is known.
         """
         import cv2
 
         work = self.work
         cv2.blur(picture, _BLOCK, dst=work.smooth)
-        gain = self.gain(picture)
+        gain = self.gain(picture) if gain is None else gain
         # Light that changes the brightest pixel by less than half a level has not changed.
         if abs(gain - 1) * 255 > 0.5:
             cv2.convertScaleAbs(work.smooth, dst=work.smooth, alpha=gain)
@@ -55,15 +57,27 @@ class Background:
 
     def gain(self, picture: Picture) -> float:
         """Return how much brighter the still picture is, by the median of its pixels."""
-        height, width = picture.shape[:2]
-        # So many pixels, on a grid, say how bright a picture is to a fraction of a level.
-        every = max(1, math.isqrt(height * width // 1500))
-        mine = self.picture[::every, ::every].astype(np.float32)
-        theirs = picture[::every, ::every].astype(np.float32)
-        # Beyond 20 to 235 a pixel is clipped or mostly noise, and does not follow the light.
-        lit = (theirs > 20) & (theirs < 235) & (mine > 20) & (mine < 235)
+        every, where, mine = self._lit
+        theirs = picture[::every, ::every].reshape(-1)[where].astype(np.float32)
+        lit = (theirs > 20) & (theirs < 235)
         # With fewer pixels between the two the light is taken for constant.
         return float(np.median(mine[lit] / theirs[lit])) if lit.sum() > 100 else 1.0
+
+    @cached_property
+    def low_threshold(self) -> Picture:
+        """About half of the threshold."""
+        return self.threshold // 2 + 3
+
+    @cached_property
+    def _lit(self) -> tuple[int, NDArray[np.intp], FloatPicture]:
+        """Colours on a grid that follow the light: its step, which of its values, and those."""
+        height, width = self.picture.shape[:2]
+        # So many pixels, on a grid, say how bright a picture is to a fraction of a level.
+        every = max(1, math.isqrt(height * width // 1500))
+        mine = self.picture[::every, ::every].reshape(-1)
+        # Beyond 20 to 235 a pixel is clipped or mostly noise, and does not follow the light.
+        where = np.flatnonzero((mine > 20) & (mine < 235))
+        return every, where, mine[where].astype(np.float32)
 
 
 class _Scratch:
@@ -135,27 +149,49 @@ def halved_background(samples: Sequence[Picture]) -> Background:
 
 
 def middle_of(stack: Sequence[Picture]) -> Picture:
-    """Take the median, pixel by pixel, of N pictures, the lower one of an even N.
+    """Take the median, pixel by pixel, of N pictures, the lower one of an even N."""
+    middle = (len(stack) - 1) // 2
+    return _sorted_rows(stack, frozenset([middle]))[middle]
 
-    Batcher's odd-even merge sort, each comparison made for all pixels at once (Knuth 1998, 5.2.2,
-    algorithm M): many times as quick as sorting pixel by pixel.
+
+def _sorted_rows(stack: Sequence[Picture], asked: frozenset[int]) -> list[Picture]:
+    """Sort N arrays value by value; those of the ranks that are asked for are right.
+
+    Each comparison is made for all pixels at once: many times as quick as pixel by pixel.
     """
-    count = len(stack)
     rows = list(stack)
+    for at, to, needs_low, needs_high in _comparisons(len(rows), asked):
+        low, high = rows[at], rows[to]
+        if needs_low:
+            rows[at] = np.minimum(low, high)
+        if needs_high:
+            rows[to] = np.maximum(low, high)
+    return rows
+
+
+@cache
+def _comparisons(count: int, asked: frozenset[int]) -> list[tuple[int, int, bool, bool]]:
+    """List the comparisons of Batcher's odd-even merge sort that the ranks asked for need.
+
+    Knuth 1998, 5.2.2, algorithm M: of two rows, and whether the lower and the higher are needed.
+    """
+    pairs: list[tuple[int, int]] = []
     power = 1 << max(count - 1, 0).bit_length()
     step = power // 2
     while step:
         apart, mask, least = step, power // 2, 0
         while True:
-            for at in range(count - apart):
-                if at & step == least:
-                    low, high = rows[at], rows[at + apart]
-                    rows[at], rows[at + apart] = np.minimum(low, high), np.maximum(low, high)
+            pairs += [(at, at + apart) for at in range(count - apart) if at & step == least]
             if mask == step:
                 break
             apart, mask, least = mask - step, mask // 2, step
         step //= 2
-    return rows[(count - 1) // 2]
+    needed, kept = set(asked), list[tuple[int, int, bool, bool]]()
+    for at, to in reversed(pairs):
+        if at in needed or to in needed:
+            kept.append((at, to, at in needed, to in needed))
+            needed |= {at, to}
+    return kept[::-1]
 
 
 def _leave_out(
@@ -172,31 +208,37 @@ def _leave_out(
     right, bottom = np.clip(
         np.ceil(known.max(axis=0) + radius_px).astype(int) + 1, 0, [width, height]
     )
-    rows, columns = np.mgrid[top:bottom, left:right]
-    hidden = np.zeros((len(samples), *rows.shape), dtype=bool)
-    reach = math.ceil(radius_px) + 1
-    for at, where in enumerate(maybe_px):
-        for x, y in where[np.isfinite(where[:, 0])]:
-            first_row, first_column = round(y) - reach - top, round(x) - reach - left
-            near = (
-                slice(max(first_row, 0), max(first_row + 2 * reach + 1, 0)),
-                slice(max(first_column, 0), max(first_column + 2 * reach + 1, 0)),
-            )
-            hidden[at][near] |= (columns[near] - x) ** 2 + (rows[near] - y) ** 2 < radius_px**2
-    often = hidden.sum(axis=0)
-    touched = (often > 0) & (often < len(samples))
-    if touched.any():
-        pixels = rows[touched], columns[touched]
-        values = np.stack([sample[pixels] for sample in samples]).astype(np.float32)
-        values[hidden[:, touched]] = np.inf  # sorted to the end, and not counted
-        values.sort(axis=0)
-        median_row = (len(samples) - often[touched] - 1) // 2
-        middle = np.take_along_axis(values, median_row[None, :, None], 0)[0]
-        picture[pixels] = middle.astype(np.uint8)
+    every = frozenset(range(len(samples)))
+    reach, high = math.ceil(radius_px) + 1, max(1, (1 << 16) // max(right - left, 1))
+    for begin in range(top, bottom, high):  # all at once would take much memory
+        rows, columns = np.mgrid[begin : min(begin + high, bottom), left:right]
+        hidden = np.zeros((len(samples), *rows.shape), dtype=bool)
+        for at, where in enumerate(maybe_px):
+            for x, y in where[np.isfinite(where[:, 0])]:
+                first_row, first_column = round(y) - reach - begin, round(x) - reach - left
+                near = (
+                    slice(max(first_row, 0), max(first_row + 2 * reach + 1, 0)),
+                    slice(max(first_column, 0), max(first_column + 2 * reach + 1, 0)),
+                )
+                apart = (columns[near] - x) ** 2 + (rows[near] - y) ** 2
+                hidden[at][near] |= apart < radius_px**2
+        seen = np.count_nonzero(~hidden, axis=0)
+        touched = (seen > 0) & (seen < len(samples))
+        if not touched.any():
+            continue
+        pixels = (rows[touched] * width + columns[touched]).astype(np.intp)
+        stack = [sample.reshape(-1, 3)[pixels] for sample in samples]
+        for values, out in zip(stack, hidden[:, touched], strict=True):
+            values[out] = 255  # sorted to the end, and not counted
+        values = np.stack(_sorted_rows(stack, every))
+        median_row = (seen[touched][None] - 1) // 2
+        middle = np.take_along_axis(values, median_row[:, :, None], 0)[0]
+        picture.reshape(-1, 3)[pixels] = middle
+        off = (np.maximum(values, middle) - np.minimum(values, middle)).max(axis=2)
+        off[np.arange(len(samples))[:, None] >= seen[touched]] = 255
+        off = np.stack(_sorted_rows([*off], every))
         # Noise is about half as much in a smooth picture.
-        off = np.abs(values - middle).max(axis=2) / 2.0
-        off.sort(axis=0)
-        spread[pixels] = np.take_along_axis(off, median_row[None], 0)[0]
+        spread.reshape(-1)[pixels] = np.take_along_axis(off, median_row, 0)[0] / 2.0
 
 
 def _smooth(picture: Picture) -> Picture:
@@ -284,14 +326,19 @@ def moving_blobs(picture: Picture, background: Background, allowed: Picture | No
 
 
 def coloured_blobs(
-    picture: Picture, background: Background, ball: ColorAndSize, allowed: Picture | None
+    picture: Picture,
+    background: Background,
+    ball: ColorAndSize,
+    allowed: Picture | None,
+    gain: float | None = None,
 ) -> Blobs:
     """Find candidates by the fraction of each pixel that is ball; see `moving_blobs`.
 
     A pixel is part background B, part ball C, part shadow: I - B = a (C - B) - b B, a, b >= 0.
+    `gain` is the picture's, where it is known.
     """
-    difference = background.difference(picture)
-    mask = difference > background.threshold // 2 + 3  # the colour decides: noise may pass
+    difference = background.difference(picture, gain)
+    mask = difference > background.low_threshold  # the colour decides: noise may pass
     if allowed is not None:
         mask &= allowed.astype(bool)
     there = np.flatnonzero(mask)  # several times as quick as the mask itself

@@ -33,17 +33,22 @@ class KeptFilm:
 
     topic: str
     is_part: bool  # whether a part of it is looked at, beside which there are others
-    pictures: dict[int, Picture] = field(default_factory=dict)  # RGB, reduced
+    pictures: dict[int, Frame] = field(default_factory=dict)  # of their reduced size
     is_whole: bool = True  # whether there were no more than could be kept
     is_bare: bool = False  # whether they were recorded as pixels
-    stamps_ns: list[int] = field(default_factory=list)
+    bytes: int = 0
 
-    def frames(self) -> Iterator[Frame]:
-        """Yield the pictures as frames of their reduced size."""
-        for stamp_ns, picture in zip(self.stamps_ns, self.pictures.values(), strict=True):
+    def keep(self, index: int, frame: Frame, picture: Picture) -> None:
+        """Keep a picture that was decoded from a frame, or none of them if they are too many."""
+        self.is_bare = frame.size is not None
+        self.bytes += picture.nbytes
+        if self.bytes > _MAX_BYTES:
+            self.is_whole = False
+            self.pictures.clear()
+        if self.is_whole:
             height, width = picture.shape[:2]
             pixels = partial(mean_of_blocks, picture)
-            yield Frame(stamp_ns, "rgb8", b"", (width, height), pixels)
+            self.pictures[index] = Frame(frame.stamp_ns, "rgb8", b"", (width, height), pixels)
 
 
 # The film that is looked through, by its episode; the one before is dropped.
@@ -128,7 +133,6 @@ class Pictures:
         self.opened = self.damaged = self.other_size = self.not_later = 0
         _last.clear()
         film = self._film = _last[self._episode] = KeptFilm(self._topic, self._span_ns is not None)
-        film_bytes = 0
         self._kept: list[int] = []
         self._why = ""
         stamps: list[int] = []
@@ -159,14 +163,7 @@ class Pictures:
                     self.samples.append(picture)
                 if len(self.samples) > _MAX_SAMPLES:
                     self.samples, every = self.samples[::2], 2 * every
-                film_bytes += picture.nbytes
-                if film_bytes > _MAX_BYTES:  # too many: none of them
-                    film.is_whole = False
-                    film.pictures.clear()
-                if film.is_whole:
-                    film.is_bare = frame.size is not None
-                    film.pictures[index] = picture
-                    film.stamps_ns.append(frame.stamp_ns)
+                film.keep(index, frame, picture)
                 stamps.append(frame.stamp_ns)
                 self._kept.append(index)
         self.sampled = every * np.arange(len(self.samples))
@@ -180,7 +177,8 @@ class Pictures:
         """Yield the pictures of these numbers (of `stamps_ns`), in order, decoding no others."""
         wanted = {self._kept[number] for number in numbers}
         if self._film.is_whole:
-            yield from (self._film.pictures[index] for index in self._kept if index in wanted)
+            pictures = self._film.pictures
+            yield from (pictures[index].decode() for index in self._kept if index in wanted)
             return
         left = len(wanted)
         for index, frame in self._selected():

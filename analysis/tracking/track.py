@@ -268,6 +268,16 @@ class Track:
         """Whether the ball is found in each picture, shape (T,)."""
         return np.isfinite(self.places_px[:, 0])
 
+    def some(self, rows: slice | NDArray[np.intp]) -> Track:
+        """Return the track of some of its pictures, in order."""
+        return replace(
+            self,
+            stamps_ns=self.stamps_ns[rows],
+            places_px=self.places_px[rows],
+            radius_px=self.radius_px[rows],
+            confidence=self.confidence[rows],
+        )
+
 
 def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     """Find the ball by its free flight, learn how it looks, and follow it through all pictures."""
@@ -450,6 +460,8 @@ def _redetect(
     # A change by less than 10 of 255, in the mean of three by three pixels, is none. A codec
     # refines a picture that comes twice, by .02 to .2 of what it changes where the ball has moved.
     largest, rms = changes.T
-    around = np.concatenate([[0.0], np.nan_to_num(rms), [0.0]])
-    unchanged = (largest < 10) | (rms < 0.3 * np.maximum(around[:-2], around[2:]))
+    # It may come up to four times.
+    around = np.pad(np.nan_to_num(rms), 3)
+    beside = np.lib.stride_tricks.sliding_window_view(around, 7).max(axis=1)
+    unchanged = (largest < 10) | (rms < 0.3 * beside)
     return Candidates.of(first.seconds, blobs), before_px, unchanged

@@ -267,7 +267,8 @@ def test_every_public_name_is_documented(name: str):
     known = getattr(tn, name)
     if not isinstance(known, FunctionType):
         return
-    documented = set(re.findall(r"^- `\**(\w+)`: \S", text, re.MULTILINE))
+    assert f"\n{name}(" in text
+    documented = set(re.findall(r"^ *\**(\w+): \S", inspect.getdoc(known) or "", re.MULTILINE))
     given = set(inspect.signature(known).parameters) - set(options_in(tn.TuneOptions))
     if len(given) > 2:
         assert given <= documented

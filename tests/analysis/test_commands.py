@@ -19,6 +19,7 @@ from tests.engines import HAS_PYBULLET, needs_pybullet
 from tests.tunenet_logs.test_info_and_check import strict
 from tunenet_logs.analysis.cli import tune
 from tunenet_logs.analysis.record import to_json
+from tunenet_logs.errors import pip_install
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders import cli as recorders_cli
 from tunenet_logs.recorders.simulators.known import ENGINE_VARIABLE, engine
@@ -229,7 +230,7 @@ def test_only_training_needs_torch_and_says_what_to_install_before_any_work(
     for (_, extra), (code, out, err, engines) in zip(needing, told, strict=False):
         assert (code, out, engines) == (2, "", [])
         assert err.count("\n") == 1
-        assert err.endswith(f": torch is not installed; pip install 'tunenet-logs[{extra}]'\n")
+        assert err.endswith(f": torch is not installed; {pip_install(extra)}\n")
     assert not list((tmp_path / "empty").iterdir())
     assert [code for code, *_ in told[len(needing) :]] == [0] * len(others), told[len(needing) :]
     assert "0.7000" in told[len(needing)][1]
@@ -245,5 +246,5 @@ def test_without_matplotlib_one_line_names_its_extra(
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     done = command(name, tmp_path / "red.json", option, tmp_path / "a.html")
     assert done.returncode == 2
-    assert "pip install 'tunenet-logs[report]'" in done.stderr
+    assert pip_install("report") in done.stderr
     assert done.stderr.count("\n") == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -16,9 +17,11 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+import zstandard
 from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
+from tests import hostile
 from tests.bench import ROOT, Figures, best_s
 from tests.recorders.live_recorder import JOINTS, NAMES, PICTURES
 from tests.recorders.mjpeg_camera import picture, playing
@@ -28,6 +31,9 @@ from tunenet_logs import messages
 from tunenet_logs.episode import Array, EpisodeInfo, Frame
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.session import LiveRecording, TopicQueue
+from tunenet_logs.recorders.simulators.arm.description import Payload, jaco
+from tunenet_logs.recorders.simulators.arm.path import eased, random_path
+from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm
 from tunenet_logs.timing.stamps import now_ns
 from tunenet_logs.writing.writer import EpisodeWriter
 
@@ -84,6 +90,83 @@ def reading(count: int, rounds: int) -> Figures:
         rosbags_s, ours_s = best_s([by_rosbags, by_us], rounds)
     yield "messages a second", count / ours_s
     yield "speed over that of rosbags", rosbags_s / ours_s
+
+
+def long_joints(count: int) -> Figures:
+    """Tune an arm of 1 kHz from its log alone: in chunks, beside a sensor of other lengths, and
+    without chunks. An arm's minute with .8 kg is repeated, its torques with new noise.
+    """
+    arm = jaco()
+    path = eased(random_path(arm, 3, 1000.0, 60.0), 1.0, 1000.0)
+    torques = joint_efforts_nm(arm, path, Payload(0.8))
+    marks = np.arange(21.0).reshape(3, 7) + 0.123456789
+    stamp_ns = int.from_bytes(bytes(range(1, 5)), "big") * 10**9 + 0x05060708
+    state = messages.joint_state(stamp_ns, [one.name for one in arm.joints], *marks)
+    blank = hostile.message(0, messages.encode(state, messages.JOINT_STATE))
+    beside = hostile.message(1, b"\0\1\0\0" + bytes(320))
+    at, places = len(hostile.message()), [blank.index(mark.tobytes()) for mark in marks]
+    fields = {"log_ns": ("<u8", 15), "publish_ns": ("<u8", 23), "sec": ("<u4", at + 4)}
+    fields["nanosec"] = ("<u4", at + 8)
+    fields |= {f"{k}": ("7<f8", place) for k, place in enumerate(places)}
+    names, (kinds, offsets) = list(fields), zip(*fields.values(), strict=True)
+    kind = {"names": names, "formats": kinds, "offsets": offsets, "itemsize": len(blank)}
+    schemas = [messages.JOINT_STATE.encode(), messages.definition(messages.JOINT_STATE).encode()]
+    described = hostile.schema(1, schemas[0], b"ros2msg", schemas[1])
+    described += hostile.schema(2, b"std_msgs/msg/String", b"ros2msg", b"string data")
+    described += hostile.channel(0, 1, JOINTS.encode()) + hostile.channel(1, 2, b"/chat")
+    pack, rng = zstandard.ZstdCompressor(1).compress, np.random.default_rng(0)
+
+    def write(log: Path, others: int, *, chunks: bool) -> None:
+        turn = len(path.seconds)
+        with log.open("wb") as file:
+            file.write(hostile.mcap(described))
+            for first in range(0, count, 2000):
+                numbers = np.arange(first, min(first + 2000, count))
+                there = numbers % (2 * turn)  # and back
+                rows, way = np.minimum(there, 2 * turn - 1 - there), np.where(there < turn, 1, -1)
+                made = np.frombuffer(bytearray(blank * len(numbers)), np.dtype(kind))  # pyright: ignore
+                stamps_ns = 10**18 + numbers * 10**6
+                made["log_ns"] = made["publish_ns"] = stamps_ns + 200_000
+                made["sec"], made["nanosec"] = np.divmod(stamps_ns, 10**9)
+                noise = rng.normal(0, (1e-5, 0.05), (len(numbers), 7, 2))
+                made["0"] = path.position_rad[rows] + noise[..., 0]
+                made["1"] = way[:, None] * path.velocity_rad_s[rows]
+                made["2"] = torques[rows] + noise[..., 1]
+                plain = made.view(np.uint8).reshape(len(numbers), -1)
+                other = np.frombuffer(beside, np.uint8)[None].repeat(len(numbers), axis=0)
+                plain = np.hstack([plain, *[other] * others]).tobytes()
+                file.write(hostile.chunk(b"zstd", len(plain), pack(plain)) if chunks else plain)
+            file.write(hostile.record(15, bytes(4)) + hostile.record(2, bytes(20)) + hostile.MAGIC)
+
+    for name, others, chunks in (
+        ("in chunks", 0, True), ("beside others", 1, True), ("without chunks", 0, False)
+    ):  # fmt: skip
+        with tempfile.TemporaryDirectory() as folder:
+            log = Path(folder) / "a.mcap"
+            write(log, others, chunks=chunks)
+            words = [
+                sys.executable,
+                "-m",
+                "tunenet_logs.analysis.cli.tune",
+                str(log),
+                "--no-review",
+            ]
+            start_s = time.perf_counter()
+            process = subprocess.Popen(
+                [*words, "--no-review", "-o", folder],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+            )
+            assert process.stderr is not None
+            process.stderr.readline()
+            first_s = time.perf_counter() - start_s
+            process.stderr.read()
+            done = ended(process)
+            found = json.loads((Path(folder) / "a.json").read_text())
+        yield f"{name}: CPU [s]", done.cpu_s
+        yield f"{name}: memory at most [MiB]", done.peak_mib
+        yield f"{name}: first line after [s]", first_s
+        yield f"{name}: verdict", f"{found['verdict']} {found.get('reason') or ''}"
 
 
 def writing(count: int, rounds: int) -> Figures:

@@ -50,6 +50,7 @@ from tunenet_logs.analysis.parallel import streamed
 from tunenet_logs.analysis.record import to_json
 from tunenet_logs.analysis.result_files import log_sha256
 from tunenet_logs.analysis.tuning import tune_log
+from tunenet_logs.episode import Array
 from tunenet_logs.outcomes import Outcome, write_outcome
 from tunenet_logs.recorders.orders import FilmOrder
 from tunenet_logs.recorders.simulators.arm.description import Payload, jaco
@@ -198,8 +199,22 @@ def memory(seconds: float, longer: int) -> Figures:
 # ---- Small logs of positions, alone and in batches.
 
 
-def write_log(path: Path, index: int) -> None:
-    """Write a drop of 1 to 3 s at 60 to 240 Hz, 1 mm of noise: ideal, or with air and slope."""
+# How late a sample is stamped [ms], as recorders do: on arrival in a busy process, on arrival over
+# Wi-Fi, by a timer that is uneven, or with what waited for a network that sends in parcels.
+_LATE_MS: tuple[Callable[[np.random.Generator, Array], Array], ...] = (
+    lambda rng, taken_ms: rng.exponential(0.8, len(taken_ms)),
+    lambda rng, taken_ms: rng.uniform(0, 12, len(taken_ms)),
+    lambda rng, taken_ms: np.abs(rng.normal(0, 0.4, len(taken_ms))),
+    lambda rng, taken_ms: -taken_ms % 25 + rng.exponential(0.1, len(taken_ms)),
+    lambda rng, taken_ms: rng.exponential(5, len(taken_ms)),
+)
+
+
+def write_log(path: Path, index: int, *, late: bool = False) -> None:
+    """Write a drop of 1 to 3 s at 60 to 240 Hz, 1 mm of noise: ideal, or with air and slope.
+
+    `late` stamps every other one as samples arrive, in JSON each fifth.
+    """
     rng = np.random.default_rng([24, index])
     restitution, gap_m = float(rng.uniform(0.3, 0.92)), float(rng.uniform(0.3, 1.6))
     rate_hz, lasts_s, hold_s = (
@@ -213,28 +228,41 @@ def write_log(path: Path, index: int) -> None:
         heights_m = strangers.bounce_heights(restitution, gap_m, seconds)
     positions_m = np.column_stack([np.zeros((len(seconds), 2)), heights_m])
     positions_m += rng.normal(0.0, 0.001, positions_m.shape)
-    stamps_ns = 1_700_000_000_000_000_000 + np.round((seconds + hold_s) * 1e9).astype(np.int64)
-    strangers.write_poses(path, stamps_ns, positions_m)
+    taken_ms = (seconds + hold_s) * 1e3
+    if late and index // 2 % 2:
+        taken_ms = taken_ms + _LATE_MS[index // 4 % len(_LATE_MS)](rng, taken_ms)
+        taken_ms = np.maximum.accumulate(taken_ms) + 1e-3 * np.arange(len(seconds))
+    stamps_ns = 1_700_000_000_000_000_000 + np.round(taken_ms * 1e6).astype(np.int64)
+    write = strangers.write_json if late and index % 5 == 1 else strangers.write_poses
+    write(path, stamps_ns, positions_m)
 
 
-def state_logs(count: int) -> Figures:
-    """Tune logs from reading to JSON, without the review, in one process after its start."""
+def state_logs(count: int, late: int) -> Figures:
+    """Tune logs from reading to JSON, without the review, in one process after its start.
+
+    After tidy ones so many `late`: those of others, half of them stamped on arrival.
+    """
     count = max(count, 4)
     with tempfile.TemporaryDirectory() as folder:
-        logs = [Path(folder) / f"{index:05}.mcap" for index in range(count)]
+        logs = [Path(folder) / f"{index:05}.mcap" for index in range(count + late)]
         for index, log in enumerate(logs):
-            write_log(log, index)
-        for log in logs[:6]:
+            write_log(log, index - count * (index >= count), late=index >= count)
+        for log in (*logs[:6], *logs[count:][:6]):
             _tuned(log)
-        spent_s = floor_s = 0.0
-        for done, log in enumerate(logs, start=1):
-            _, cpu_s, tuning = spent(partial(_tuned, log))
-            spent_s += cpu_s
-            floor_s += spent(_least_work(log, tuning))[1]
-            if done in (count // 4, count // 2, count):
-                yield f"resident memory after {done} logs [MB]", _resident_mb(os.getpid())
-    yield "logs a CPU second", count / spent_s
-    yield "times bare reading, K + 2 rollouts and the fit alone", spent_s / floor_s
+        for what, chosen in (("tidy", logs[:count]), ("of others", logs[count:])):
+            spent_s = floor_s = read_s = 0.0
+            for done, log in enumerate(chosen, start=1):
+                _, cpu_s, tuning = spent(partial(_tuned, log))
+                spent_s += cpu_s
+                read_s += spent(partial(_read, log))[1]
+                floor_s += spent(_least_work(log, tuning))[1]
+                if what == "tidy" and done in (count // 4, count // 2, count):
+                    yield f"resident memory after {done} logs [MB]", _resident_mb(os.getpid())
+            if chosen:
+                yield f"{what}: logs a CPU second", len(chosen) / spent_s
+                yield f"{what}: times bare reading", spent_s / read_s
+                ratio = spent_s / floor_s
+                yield f"{what}: times bare reading, K + 2 rollouts and the fit alone", ratio
 
 
 def _tuned(path: Path) -> Tuning:
@@ -245,23 +273,24 @@ def _tuned(path: Path) -> Tuning:
     return tuning
 
 
+def _read(path: Path) -> None:
+    """Read a log by the mcap library alone."""
+    with path.open("rb") as file:
+        for _ in make_reader(file).iter_messages():
+            pass
+
+
 def _least_work(path: Path, tuning: Tuning) -> Callable[[], None]:
     """Return what none can do without: bare reading, K + 2 rollouts and the fit alone."""
-
-    def read() -> None:
-        with path.open("rb") as file:
-            for _ in make_reader(file).iter_messages():
-                pass
-
     detection, trace = tuning.detection, tuning.trace
     if detection is None or trace is None:
-        return read
+        return partial(_read, path)
     simulator = DropSimulator(*rig_like(detection))
     names = [parameter.name for parameter in tuning.parameters]
     settings = [dict(zip(names, map(float, step.values), strict=True)) for step in trace.steps]
 
     def work() -> None:
-        read()
+        _read(path)
         for values in settings:
             simulator.rollout(values)
         drop_posterior.__wrapped__(detection.found, detection.ball.drag_1_m)

@@ -26,9 +26,10 @@ from tests.message_logs import (
 )
 from tests.message_logs import message as made
 from tests.reading import one, read, refusal, skipped
-from tunenet_logs import messages
+from tunenet_logs import messages, reader
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
+from tunenet_logs.formats import mcap
 from tunenet_logs.formats.base import (
     MessageError,
     RawChannel,
@@ -317,6 +318,77 @@ def test_all_that_was_written_is_read(tmp_path: Path, beside: int, chunk: int):
         found = [one for one in records if isinstance(one, RawMessage)]
         assert [bytes(one.data) for one in found if one.channel.topic == "/a"] == STATES
         assert [one.log_ns for one in found] == sorted(one.log_ns for one in found)
+
+
+STORE = ros2()
+
+
+def by_rosbags(index: int, names: tuple[str, ...] = AB, frame: str = "") -> bytes:
+    """As another writer serialises it, big-endian."""
+    values = (np.arange(len(names)) + index / 7).tolist()
+    fields = {"name": names, "position": values, "velocity": values, "effort": values}
+    fields["header"] = header(START_NS + index * STEP_NS, frame)
+    state = made(STORE, messages.JOINT_STATE, fields)
+    return bytes(STORE.serialize_cdr(state, messages.JOINT_STATE, little_endian=False))
+
+
+def spoiled(at: int, new: bytes, every: int = 97) -> list[bytes]:
+    """Messages of which some have other bytes at a place."""
+    return [
+        one[:at] + new + one[at + len(new) :] if k % every == 50 else one
+        for k, one in enumerate(STATES)
+    ]
+
+
+# Every word that may be a size of a frame, of names, of a name, of positions is spoiled in turn.
+LAYOUTS = {
+    "ours": STATES,
+    "another writer's": [by_rosbags(k) for k in range(600)],
+    "both": [joints(k) if k % 3 else by_rosbags(k) for k in range(600)],
+    "frames": [by_rosbags(k, frame="base"[: k % 5]) for k in range(600)],
+    "frames of one length": [by_rosbags(k, frame=f"f{k % 4}") for k in range(600)],
+    "each its own frame": [by_rosbags(k, frame=f"{k:04}") for k in range(600)],
+    "names of one length": [joints(k, ("a", "b") if k % 5 else ("b", "a")) for k in range(MANY)],
+    "names": [joints(k, (AB, ("gripper",), ())[k % 3]) for k in range(MANY)],
+    "efforts now and then": [joints(k, effort=k % 4 > 0) for k in range(MANY)],
+    "one name twice": [*STATES[:99], by_rosbags(0, ("a", "a"))],
+    "cut": [one[: -k % 9] if k % 50 == 7 else one for k, one in enumerate(STATES, 1)],
+    "longer": [one + bytes(k % 6) if k % 50 == 7 else one for k, one in enumerate(STATES)],
+    "none is whole": [one[:-9] for one in STATES],
+    "empty": [b"" if k % 300 == 1 else one for k, one in enumerate(STATES)],
+    "no CDR": spoiled(0, b"\x01"),
+    "another kind of CDR": spoiled(1, b"\x07"),
+    "not numbers": spoiled(len(STATES[1]) - 8, b"\xff" * 8),
+    "times": spoiled(4, b"\xff\xff\xff\x7f"),
+    "stamps of nanoseconds": spoiled(8, b"\xff\xff\xff\xff"),
+    **{
+        f"size at byte {at}, {value:#x}": spoiled(at, struct.pack("<I", value))
+        for at in range(12, 60, 4)
+        for value in (0, 3, 2**32 - 1)
+    },
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_columns_are_what_messages_are_one_by_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, layout: str
+):
+    """In chunks large and small, and without; beside others' messages and alone."""
+    data = LAYOUTS[layout][:600]
+    monkeypatch.setattr(reader, "_MIN_STACKED", 10**9)
+    monkeypatch.setattr(mcap, "_MIN_SHORT", 10**9)
+    wanted = states(tmp_path / "a.mcap", data, chunk=20_000, beside=1)
+    monkeypatch.undo()
+    for chunk, beside in ((20_000, 1), (300, 0), (10**7, 3), (0, 1)):
+        found = states(tmp_path / "a.mcap", data, chunk=chunk, beside=beside)
+        assert found.warnings[-len(wanted.warnings) :] == wanted.warnings
+        assert found.signals.keys() == wanted.signals.keys()
+        for own, other in zip(found.signals.values(), wanted.signals.values(), strict=True):
+            assert (own.columns, own.left_out) == (other.columns, other.left_out)
+            assert np.array_equal(own.stamps_ns, other.stamps_ns)
+            assert np.array_equal(own.values, other.values, equal_nan=True)
+        assert np.array_equal(found.channels[0].log_ns, wanted.channels[0].log_ns)
+        assert found.channels[0].skipped == wanted.channels[0].skipped
 
 
 def test_layouts_by_turns_keep_their_order_and_damage_is_left_out(tmp_path: Path):

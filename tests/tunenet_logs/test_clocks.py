@@ -26,6 +26,7 @@ from tunenet_logs.reader import read_episode
 from tunenet_logs.timing.arrivals import (
     UniformClock,
     changing_rate,
+    conversions,
     correct_late_stamps,
     recover_uniform_clock,
 )
@@ -582,3 +583,50 @@ def test_rates_of_a_few_pictures():
     clock = clock_of(times, None)
     assert clock.stamps_ns.tolist() == [0, 100_000_000, 1_100_000_000]
     assert clock.stored_hz == 1 / 0.55
+
+
+# ---- Films that were converted to another rate
+
+
+@pytest.mark.parametrize(
+    ("shown_hz", "rates_hz"),
+    [
+        (24.0, {25, 30, 50, 60}),
+        (24000 / 1001, {25, 30, 50, 60}),
+        (25.0, {24, 30, 60}),
+        (30.0, {24, 25, 50}),
+        (60.0, {24, 25, 50}),
+        (120.0, set[int]()),
+        (27.0, set[int]()),
+    ],
+)
+def test_a_film_may_have_been_converted_from_usual_rates(shown_hz: float, rates_hz: set[int]):
+    stamps_ns = np.round(np.arange(60) * 1e9 / shown_hz).astype(np.int64)
+    found = conversions(stamps_ns)
+    # 25 to 24 too: one picture of 25.
+    assert {round(one.source_hz) for one in found} == rates_hz
+    for one in found:
+        placed_ns = one.placed_ns(stamps_ns)
+        assert placed_ns[0] == stamps_ns[0]
+        assert np.abs(placed_ns - stamps_ns).max() < 1.01e9 / one.source_hz
+        assert one.unexplained(stamps_ns) == 0
+        assert len({*one.placed_ns(stamps_ns).tolist()}) == len({*one.numbers(stamps_ns).tolist()})
+
+
+@pytest.mark.parametrize(
+    ("source_hz", "shown_hz", "words"),
+    [
+        (30, 24, "from 30 to 24 pictures a second (1 of 5 is missing)"),
+        (60, 25, "from 60 to 25 pictures a second (7 of 12 are missing)"),
+        (24, 30, "from 24 to 30 pictures a second (1 of 4 is shown twice)"),
+    ],
+)
+def test_a_doubled_picture_has_no_stamp_and_a_conversion_has_words(
+    source_hz: int, shown_hz: int, words: str
+):
+    stamps_ns = np.round(np.arange(60) * 1e9 / shown_hz).astype(np.int64)
+    (first, *_) = (one for one in conversions(stamps_ns) if round(one.source_hz) == source_hz)
+    assert first.words == words
+    kept = np.unique(first.numbers(stamps_ns), return_index=True)[1]
+    assert first.unexplained(stamps_ns[kept]) == 0
+    assert (first.unexplained(np.delete(stamps_ns, kept[5])) == 1) == (kept[5] > 0)

@@ -127,10 +127,10 @@ def strict(text: str) -> list[dict[str, Any]]:
 
 
 def promised_keys(verb: str) -> set[str]:
-    """The keys that docs/logs.md has in its table of a verb."""
+    """The keys that docs/logs.md has in its list of a verb."""
     text = (ROOT / "docs" / "logs.md").read_text()
     section = text.split(f"`{verb} --json`:", 1)[1].split("\n\n", 2)[1]
-    rows = [row.split("|")[1] for row in section.splitlines()]
+    rows = [row.split(": ")[0] for row in section.splitlines() if row.startswith("- ")]
     return {key for row in rows for key in re.findall(r"`(\w+)`", row)}
 
 

@@ -2,9 +2,9 @@
 
 The mcap library parses the records; one pass over the file does what it does not: it says where
 bytes are lost, finds the next chunk where a length is destroyed, saves the messages of a cut last
-chunk, and keeps within a `Budget`. Messages inside a chunk stay in its buffer and are located
-together: an object each, as the library makes them, takes three times as long. After
-https://mcap.dev/spec.
+chunk, and keeps within a `Budget`. Messages stay in the buffer of their chunk, or of a block of
+the file where there are no chunks, and are located together: an object each, as the library makes
+them, takes many times as long. After https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader
+from numpy.typing import NDArray
 
 from tunenet_logs.files import open_regular
 from tunenet_logs.formats.base import (
@@ -76,7 +77,9 @@ _CHUNK_BEGIN = re.compile(
     rb"\x06(?=(.{8}).{28}(?:\x04\x00\x00\x00zstd|\x03\x00\x00\x00lz4))", re.DOTALL
 )
 _ZEROS = re.compile(rb"\x00*")
-_MIN_ALIKE = 8  # messages of one size in a row, after which the next are located at once
+# Messages of so few bytes, so many in a row, after which the next are located together, in windows
+# that grow to `_BLOCK_BYTES`.
+_SHORT_BYTES, _MIN_SHORT, _WINDOW_BYTES = 4096, 8, 64 * 1024
 # Kinds of records that are read, by where they stand.
 _USED_IN_CHUNK = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _USED = _USED_IN_CHUNK | {  # outside of chunks, before the summary
@@ -164,33 +167,70 @@ class _Inside:
     def __init__(self, plain: memoryview) -> None:
         self.plain = plain
         self.channels: dict[int, RawChannel] = {}
-        self.begins, self.ends = array("I"), array("I")
-        self._length = self._alike = 0  # of the last message, and how many had that in a row
+        self.begins, self.ends = array("q"), array("q")
+        self._short = 0  # messages in a row that are short
+        self._window = _WINDOW_BYTES
 
-    def add(self, at: int, length: int) -> int:
-        """Add a message; return how many equally long ones that follow were added with it."""
+    def add(self, at: int, length: int) -> tuple[int, int]:
+        """Add a message; return how many that follow were added with it, and where all end."""
         self.begins.append(at)
         self.ends.append(at + length)
-        self._alike = self._alike + 1 if length == self._length else 1
-        self._length = length
-        if self._alike < _MIN_ALIKE:
-            return 0
-        self._alike = 0
-        size, behind = _HEAD.size + length, at + length
-        most, more, block = (len(self.plain) - behind) // size, 0, _MIN_ALIKE
-        while more < most:
-            block = min(4 * block, most - more)
-            start = behind + more * size
-            opcodes = np.ndarray(block, np.uint8, self.plain, start, (size,))
-            lengths = np.ndarray(block, "<u8", self.plain, start + 1, (size,))
-            others = np.flatnonzero((opcodes != Opcode.MESSAGE) | (lengths != length))
-            more += int(others[0]) if len(others) else block
-            if len(others):
-                break
-        begins = at + size * np.arange(1, more + 1)
-        self.begins.frombytes(begins.astype(np.uint32).tobytes())
-        self.ends.frombytes((begins + length).astype(np.uint32).tobytes())
-        return more
+        end = at + length
+        self._short = self._short + 1 if length <= _SHORT_BYTES else 0
+        if self._short < _MIN_SHORT:
+            return 0, end
+        self._short = 0
+        begins, ends = _messages_from(self.plain, end, self._window)
+        self._window = min(4 * self._window, _BLOCK_BYTES)
+        self.begins.frombytes(begins.tobytes())
+        self.ends.frombytes(ends.tobytes())
+        return len(begins), int(ends[-1]) if len(ends) else end
+
+
+def _messages_from(
+    plain: memoryview, at: int, window: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Locate the messages that follow each other from `at` on and begin in the next `window` bytes.
+
+    Returns where the bodies begin and end. Those of one length lie at even steps. Of others, all
+    places that look like a message's head are found together, and then followed from the first: one
+    body's end is the next head.
+    """
+    last = min(at + window, len(plain) - _HEAD.size - _MESSAGE.size + 1)
+    nothing = np.empty(0, np.int64)
+    if last <= at:
+        return nothing, nothing
+    # First those that are as long as the first.
+    opcode, length = _HEAD.unpack_from(plain, at)
+    size = _HEAD.size + length
+    if opcode == Opcode.MESSAGE and _MESSAGE.size <= length <= _SHORT_BYTES:
+        count = min(1 + (last - at - 1) // size, (len(plain) - at) // size)
+        opcodes = np.ndarray(count, np.uint8, plain, at, (size,))
+        lengths = np.ndarray(count, "<u8", plain, at + 1, (size,))
+        others = np.flatnonzero((opcodes != Opcode.MESSAGE) | (lengths != length))
+        count = int(others[0]) if len(others) else count
+        if count >= _MIN_SHORT:
+            heads = at + size * np.arange(count)
+            return heads + _HEAD.size, heads + size
+    heads = at + np.flatnonzero(np.frombuffer(plain, np.uint8)[at:last] == Opcode.MESSAGE)
+    stated = np.ndarray(len(plain) - _HEAD.size + 1, "<u8", plain, 1, (1,))[heads]
+    is_one = (stated >= _MESSAGE.size) & (stated <= len(plain))
+    heads = heads[is_one]
+    ends = heads + _HEAD.size + stated[is_one].astype(np.int64)
+    within = ends <= len(plain)
+    heads, ends = heads[within], ends[within]
+    if not len(heads) or heads[0] != at:
+        return nothing, nothing
+    after = np.searchsorted(heads, ends)
+    follows = np.append(heads, -1)[after] == ends
+    if not np.array_equal(after[:-1], np.arange(1, len(heads))) or not follows[:-1].all():
+        chain, place = [0], 0
+        goes_on, following = follows.tolist(), after.tolist()
+        while goes_on[place]:
+            place = following[place]
+            chain.append(place)
+        heads, ends = heads[chain], ends[chain]
+    return heads + _HEAD.size, ends
 
 
 @dataclass(eq=False)
@@ -243,6 +283,7 @@ class _McapReading:
         """Yield the records in file order; raise OverBudgetError if there are too many."""
         self.at = len(self._read(len(MAGIC)))
         tell = teller("reading") if self.topics is None else silent
+        short = 0  # messages outside of chunks in a row that are short
         while not self.ended:
             at = self.at
             tell(self.budget.share(at))
@@ -266,6 +307,11 @@ class _McapReading:
             elif behind <= self.size:
                 yield from self._record(opcode, length, head, at)
                 self.at = behind
+                is_short = opcode == Opcode.MESSAGE and length <= _SHORT_BYTES
+                short = short + 1 if is_short else 0
+                if short >= _MIN_SHORT:
+                    short = 0
+                    yield from self._messages_outside()
             else:
                 found = self._next_chunk(at + 1)
                 if found is None:
@@ -275,6 +321,22 @@ class _McapReading:
                 self._lose(what, at, found - at)
                 self.at = found
                 self.file.seek(found)
+
+    def _messages_outside(self) -> Iterator[Record]:
+        """Yield the messages outside of chunks that come next, as many as a block holds."""
+        block = self.file.read(_BLOCK_BYTES)
+        inside = _Inside(memoryview(block))
+        begins, ends = _messages_from(inside.plain, 0, len(block))
+        size = int(ends[-1]) if len(ends) else 0
+        self.file.seek(self.at + size)
+        if size:
+            inside.begins.frombytes(begins.tobytes())
+            inside.ends.frombytes(ends.tobytes())
+            self.budget.spend(records=len(begins))
+            self.crc = zlib.crc32(inside.plain[:size], self.crc)
+            self.unprotected = True
+            self.at += size
+            yield from self._all_of(inside)
 
     def _blocks(self) -> Iterator[bytes]:
         """Read on in blocks that double."""
@@ -432,9 +494,8 @@ class _McapReading:
             if opcode == Opcode.MESSAGE:
                 if length < _MESSAGE.size:
                     raise ValueError(f"a message of {length} bytes")
-                more = inside.add(at, length)
+                more, end = inside.add(at, length)
                 count += more
-                end += more * (_HEAD.size + length)
             elif opcode in _USED_IN_CHUNK:
                 if found := self._described(opcode, plain[at:end]):
                     inside.channels[found[0]] = found[1]

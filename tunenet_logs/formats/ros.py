@@ -539,6 +539,13 @@ class _StackedType(_Type):
 
     is_packed = False
 
+    def _text(self, data: Any, at: int) -> tuple[str, int]:
+        count, at = self._length(data, at)
+        found, end = data[at : at + count], at + count
+        if len(found) < count or not (self._layout.is_ros1 or found.endswith(b"\0")):
+            raise ValueError("a text does not end")
+        return (found if self._layout.is_ros1 else found[:-1]).decode(), end
+
     def _numbers(self, codes: str) -> Read:
         dtypes = [np.dtype(self._layout.order + code) for code in codes]
         mask = min(_SIZES[codes[0]] - 1, self._layout.most_mask)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -125,6 +126,11 @@ class Clocks(NamedTuple):
     scales: Array  # of the delays' law, shape (C,)
     laws: NDArray[np.int64]  # which it is, shape (C,)
 
+    def part(self, chosen: slice | NDArray[np.intp]) -> Clocks:
+        """Return some of the candidates."""
+        periods, starts, scales = (one[chosen] for one in (self.periods, self.starts, self.scales))
+        return Clocks(periods, starts, scales, self.laws[chosen])
+
 
 class TickAssignment(NamedTuple):
     """Samples assigned to ticks."""
@@ -154,14 +160,16 @@ def assign_ticks(
     skipped = np.arange(before + 2 + min(max(most, 1), 150)) - float(before)
     late = above[:, :, None] - clocks.periods[:, None, None] * skipped
     # The negative log likelihood of each delay.
-    scales, laws = clocks.scales[:, None, None], clocks.laws[:, None, None]
+    scales = clocks.scales[:, None, None]
     early = np.clip(0.05 * scales, 0.3, 2.0)  # [ms], as the clock is not known exactly
     share = late.clip(0) / scales
-    far = np.log(np.maximum(share, 1.0))
-    even = np.where(share > 1, _OUTLIER + _OUTLIERS_FALL * far, 0.0)
-    rarer = np.minimum(share, _TYPICAL + _OUTLIERS_FALL * np.maximum(far - np.log(_TYPICAL), 0.0))
-    costs = np.log(scales) + np.where(laws == EVEN, even, rarer)
-    costs += 0.5 * (late.clip(max=0) / early) ** 2
+    far = np.log(np.maximum(share, 1.0).astype(np.float32))
+    costs = 0.5 * (np.minimum(late, 0.0) / early) ** 2
+    costs += np.log(scales)
+    even, rarer = clocks.laws == EVEN, clocks.laws == RARER
+    costs[even] += np.where(share[even] > 1, _OUTLIER + _OUTLIERS_FALL * far[even], 0.0)
+    outside = _TYPICAL + _OUTLIERS_FALL * np.maximum(far[rarer] - np.log(_TYPICAL), 0.0)
+    costs[rarer] += np.minimum(share[rarer], outside)
     np.minimum(costs, NEVER, out=costs)
     if held is not None:
         costs[:, held[0], skipped != held[1]] = NEVER
@@ -170,50 +178,48 @@ def assign_ticks(
 
 def cheapest(costs: Array, before: int) -> TickAssignment:
     """Solve the assignment by dynamic programming from the cost of each tick, shape (C, T, S)."""
-    skipped = np.arange(costs.shape[2]) - float(before)
-    onward = _sums(costs, skipped, onward=True)
-    total = onward + _sums(costs, skipped, onward=False) - costs
+    total = _sums(costs)
     least = total[:, 0].min(axis=1)
     excess = total - least[:, None, None]
     # Of ways that cost the same the lowest is taken everywhere: they would else be mixed.
     return TickAssignment(least, (excess < 1e-6).argmax(axis=2) - before, excess, before)
 
 
-def _sums(paid: Array, skipped: Array, *, onward: bool) -> Array:
-    """Accumulate the least cost up to each sample and tick, forward or backward (min-sum)."""
-    sums = np.empty_like(paid)
-    order = range(paid.shape[1]) if onward else range(paid.shape[1] - 1, -1, -1)
-    way = skipped if onward else -skipped
-    side = slice(None) if onward else slice(None, None, -1)
-    best: Array | None = None
-    for at in order:
-        if best is not None:
-            # By one sample on: none is lost in between, or some are.
-            ahead, far = best[:, side], way[side]
-            after = ahead.copy()
-            least = np.minimum.accumulate(ahead - _NEXT_LOST * far, axis=1)[:, :-1]
-            lost = least + _NEXT_LOST * far[1:] + (_FIRST_LOST - _NEXT_LOST)
-            np.minimum(after[:, 1:], lost, out=after[:, 1:])
-            best = after[:, side]
-        best = paid[:, at] if best is None else best + paid[:, at]
-        sums[:, at] = best
-    return sums
+def _sums(paid: Array) -> Array:
+    """Compute the least cost of all ways through each sample and tick, by min-sum both ways."""
+    # Onward and backward in one loop, without what the ticks lost up to each cost.
+    lost = _NEXT_LOST * np.arange(paid.shape[2])
+    sums = np.concatenate([paid, paid[:, ::-1, ::-1]]).swapaxes(0, 1).copy()
+    sums[0] -= lost
+    least = np.empty_like(sums[0])
+    for best, after in pairwise(sums):
+        # By one sample on: none is lost in between, or some are.
+        np.minimum.accumulate(best, axis=1, out=least)
+        np.add(least, _FIRST_LOST - _NEXT_LOST, out=least)
+        np.minimum(least, best, out=least)
+        np.add(after, least, out=after)
+    sums += lost
+    onward, backward = np.split(sums.swapaxes(0, 1), 2)
+    return onward + backward[:, ::-1, ::-1] - paid
 
 
 def _scales(late: Array, laws: NDArray[np.int64]) -> Array:
     """Return the maximum-likelihood scale of each candidate's delays, shape (C,)."""
     tried = np.geomspace(_MIN_MS, 10_000.0, 80)
     ordered = np.sort(np.maximum(late, _MIN_MS), axis=1)
-    logs = np.cumsum(np.log(ordered[:, ::-1]), axis=1)  # of the longest ones
-    scales = np.empty(len(late))
-    for row, (one, total) in enumerate(zip(ordered, logs, strict=True)):
-        if laws[row] == RARER:
-            scales[row] = one[one <= _TYPICAL * np.median(one)].mean()
-            continue
-        outliers = len(one) - np.searchsorted(one, tried, side="right")
-        beyond = np.where(outliers > 0, total[outliers - 1] - outliers * np.log(tried), 0.0)
-        cost = len(one) * np.log(tried) + _OUTLIER * outliers + _OUTLIERS_FALL * beyond
-        scales[row] = tried[int(cost.argmin())]
+    count, scales = ordered.shape[1], np.empty(len(late))
+    rarer = ordered[laws == RARER]
+    usual = rarer <= _TYPICAL * np.median(rarer, axis=1, keepdims=True)
+    scales[laws == RARER] = np.mean(rarer, axis=1, where=usual)
+    even = ordered[laws == EVEN]
+    # How many are longer than each scale that is tried, and the sum of their logarithms.
+    outliers = np.array([count - np.searchsorted(one, tried, side="right") for one in even])
+    logs = np.cumsum(np.log(even[:, ::-1]), axis=1)
+    rows = np.arange(len(even))[:, None]
+    if len(even):
+        beyond = np.where(outliers > 0, logs[rows, outliers - 1] - outliers * np.log(tried), 0.0)
+        costs = count * np.log(tried) + _OUTLIER * outliers + _OUTLIERS_FALL * beyond
+        scales[laws == EVEN] = tried[costs.argmin(axis=1)]
     return scales
 
 
@@ -228,6 +234,9 @@ _TYPICAL_PERIODS = np.concatenate([_NOMINAL_PERIODS, 1.001 * _NOMINAL_PERIODS])
 _TYPICAL_GAIN = 15.0  # log likelihood that a usual rate is worth, exactly or at all
 APART = 0.3  # of a period: by so much neighbouring rates differ at the last sample
 _NARROWEST_MS = 0.15  # kernel of a density of delays
+_RATES = -0.14, 0.05  # logs of periods that are sought over the usual step
+_FEWEST = 64  # samples in which a rate is sought first
+_REFINED = 4  # likeliest candidates, twice
 
 
 def period_of(ticks: Ticks, arrivals: Array, clock: Clocks) -> tuple[float, float, float]:
@@ -389,13 +398,15 @@ def _straight(arrivals: Array, known: float | None) -> UniformClock:
     """Fit a clock whose rate does not drift; `known` is the period of what came before [ms]."""
     since = arrivals - arrivals[0]
     clock, skipped = _likeliest(since, known)
-    numbers = np.arange(len(since))
+    numbers, last, placing = np.arange(len(since)), skipped, None
     for _ in range(2):
         period, start, error = period_of(numbers + skipped, since, clock)
         clock = clock._replace(periods=np.array([period]), starts=np.array([start]))
-        skipped = assign_ticks(since, clock, _before(skipped)).skipped[0]
-    placing = assign_ticks(since, clock, _before(skipped))
-    skipped = placing.skipped[0]
+        last, placing = skipped, assign_ticks(since, clock, _before(skipped))
+        skipped = placing.skipped[0]
+    if placing is None or not np.array_equal(last, skipped):
+        placing = assign_ticks(since, clock, _before(skipped))
+        skipped = placing.skipped[0]
     # The same clock shifted by a tick tells the same times, so the surest sample stays.
     sure = int(np.partition(placing.excess[0], 1, axis=1)[:, 1].argmax())
     placing = assign_ticks(since, clock, placing.before, held=(sure, int(skipped[sure])))
@@ -419,17 +430,22 @@ def _before(skipped: Ticks) -> int:
     return max(0, -int(skipped.min())) + 3
 
 
-def _likeliest(arrivals: Array, known: float | None) -> tuple[Clocks, Ticks]:
-    """Return the likeliest of many rates, and how many ticks it skips up to each sample."""
-    count, lag = len(arrivals), _lag(arrivals)
-    own = median_step(arrivals, lag)
-    starts = range(0, max(1, count - LAG + 1), LAG // 2)
+def _usual_step(arrivals: Array) -> tuple[float, float]:
+    """Return the usual step, and by how much delays usually differ within a window, in ms."""
+    own = median_step(arrivals, _lag(arrivals))
+    starts = range(0, max(1, len(arrivals) - LAG + 1), LAG // 2)
     windows = [arrivals[at : at + LAG] for at in starts]
     spreads = [np.ptp(window - own * np.arange(len(window))) for window in windows]
-    scale = max(1.0, float(np.median(spreads)))
+    return own, max(1.0, float(np.median(spreads)))
+
+
+def _likeliest(arrivals: Array, known: float | None) -> tuple[Clocks, Ticks]:
+    """Return the likeliest of many rates, and how many ticks it skips up to each sample."""
+    count = len(arrivals)
+    own, scale = _usual_step(arrivals)
     # A rate beside the usual step is sought in few samples, and among its neighbours in ever more.
-    size = count if known else min(count, 64)
-    periods = own * np.exp(np.arange(-0.14, 0.05, APART / size))
+    size = count if known else min(count, _FEWEST)
+    periods = own * np.exp(np.arange(*_RATES, APART / size))
     if known:
         periods = known * np.exp(np.array([-APART, 0.0, APART]) / size)
     while True:
@@ -438,7 +454,8 @@ def _likeliest(arrivals: Array, known: float | None) -> tuple[Clocks, Ticks]:
             break
         hull = period_below(np.arange(size) + skipped, arrivals[:size])
         size = min(count, 3 * size)
-        periods = np.append(best.periods[0] * np.exp(np.arange(-4, 5) * APART / size), hull)
+        near = best.periods[0] * np.exp(np.arange(-4, 5) * APART / size)
+        periods = np.append(near, hull)
     # At a usual rate, up to 0.35 of all ticks may be lost.
     mean = float(arrivals[-1]) / (count - 1)
     is_near = (1 - 0.35) * min(mean, own) <= _TYPICAL_PERIODS
@@ -465,16 +482,17 @@ def _best(arrivals: Array, periods: Array, scale: float) -> tuple[Clocks, float,
     before = int(np.clip(np.ceil(room), 0, 100)) + 1
     clocks = Clocks(periods, starts, np.repeat([scale, scale / 3], count), laws)
     placing = assign_ticks(arrivals, clocks, before)
-    for _ in range(2):
+    for refined in range(2):
         late = delays(arrivals, clocks, placing.skipped)
         moved = np.quantile(late, 0.02, axis=1)  # the earliest, of which a few may be wrong
         late -= moved[:, None]
-        clocks = clocks._replace(starts=clocks.starts + moved, scales=_scales(late.clip(0), laws))
+        scales = _scales(late.clip(0), clocks.laws)
+        clocks = clocks._replace(starts=clocks.starts + moved, scales=scales)
+        if refined:
+            clocks = clocks.part(np.sort(placing.costs.argsort()[:_REFINED]))
         placing = assign_ticks(arrivals, clocks, before)
     best = int(placing.costs.argmin())
-    part = slice(best, best + 1)
-    only = Clocks(clocks.periods[part], clocks.starts[part], clocks.scales[part], laws[part])
-    return only, float(placing.costs[best]), placing.skipped[best]
+    return clocks.part(slice(best, best + 1)), float(placing.costs[best]), placing.skipped[best]
 
 
 def _possible(excess: Array, numbers: NDArray[np.intp], before: int) -> tuple[Ticks, Ticks]:
@@ -497,12 +515,100 @@ def _joined(one: UniformClock, other: UniformClock, first: int) -> UniformClock:
     return replace(one, **joined, rms_ms=rms_ms, cost=one.cost + other.cost)
 
 
+# ---- Films that were converted: shown at another rate than they were filmed, on even stamps
+# Each moment shows the picture nearest to it, so pictures are missing or doubled in a pattern.
+
+_FILMED_HZ = (24, 25, 30, 50, 60)  # at which films are made
+_SHOWN_HZ = (10, 12, 12.5, 15, 20, *_FILMED_HZ)  # to which they are converted
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """Conversion of a film from one rate to another, by leaving out or doubling pictures."""
+
+    source_hz: float  # at which it was filmed
+    shown_hz: float  # at which it is stamped
+    start_ns: int  # stamp of a picture
+    phase: float  # how far into the time of its source picture that one is, 0 to 1
+
+    def numbers(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return which picture of the source each stamp shows, shape (T,)."""
+        moments = np.round((stamps_ns - self.start_ns) * 1e-9 * self.shown_hz)
+        return np.floor(moments * self.source_hz / self.shown_hz + self.phase).astype(np.int64)
+
+    def unexplained(self, stamps_ns: NDArray[np.int64]) -> int:
+        """Count moments between these stamps, (T,), that show a new picture, but have no stamp."""
+        first_ns, last_ns = (stamps_ns[[0, -1]] - self.start_ns).tolist()
+        every = np.arange(first_ns, last_ns, 1e9 / self.shown_hz)
+        every_ns = self.start_ns + np.round(every).astype(np.int64)
+        is_new = np.diff(self.numbers(every_ns), prepend=-1) > 0
+        steps = np.round((stamps_ns - stamps_ns[0]) * 1e-9 * self.shown_hz).astype(np.int64)
+        is_new[steps[steps < len(is_new)]] = False
+        return int(np.count_nonzero(is_new))
+
+    def placed_ns(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return when the pictures were taken, shape (T,) [ns]; that of `start_ns` stays."""
+        return self.start_ns + np.round(1e9 * self.numbers(stamps_ns) / self.source_hz).astype(
+            np.int64
+        )
+
+    @property
+    def words(self) -> str:
+        """Describe it: "from 30 to 24 pictures a second (1 of 5 is missing)"."""
+        source, shown = (Fraction(hz).limit_denominator(2) for hz in self.rates_hz)
+        ratio = source / shown
+        lost = abs(ratio.numerator - ratio.denominator)
+        of, what = ratio.numerator, "missing" if ratio > 1 else "shown twice"
+        is_are = "is" if lost == 1 else "are"
+        return (
+            f"from {float(source):g} to {float(shown):g} pictures a second "
+            f"({lost} of {of} {is_are} {what})"
+        )
+
+    @property
+    def rates_hz(self) -> tuple[float, float]:
+        """Rates at which it was filmed and is shown, to half a picture a second."""
+        return round(2 * self.source_hz) / 2, round(2 * self.shown_hz) / 2
+
+
+def conversions(stamps_ns: NDArray[np.int64]) -> list[Conversion]:
+    """List the conversions, each in all its phases, that may have made even stamps, (T,) [ns].
+
+    Pictures may be left out of these; none where they are not even.
+    """
+    steps_s = np.diff(stamps_ns) * 1e-9
+    if len(steps_s) < MIN_COUNT or steps_s.min() <= 0:
+        return []
+    # The slowest rate of which all steps are whole periods, as even as a container has them.
+    for nominal in _SHOWN_HZ:
+        periods = np.round(steps_s * nominal)
+        shown_hz = float(periods.sum() / steps_s.sum())
+        off = np.quantile(np.abs(steps_s * shown_hz - periods), 0.95)
+        every = np.gcd.reduce(periods.astype(np.int64))
+        if every == 1 and periods.min() > 0 and abs(shown_hz / nominal - 1) < 0.006 and off < 0.05:
+            break
+    else:
+        return []
+    found: list[Conversion] = []
+    for source in _FILMED_HZ:
+        ratio = Fraction(source) / Fraction(nominal)
+        if min(ratio.numerator, ratio.denominator) == 1:  # what is left is even
+            continue
+        source_hz, phases = source * shown_hz / nominal, ratio.denominator
+        found += [
+            Conversion(source_hz, shown_hz, int(stamps_ns[0]), (number + 0.5) / phases)
+            for number in range(phases)
+        ]
+    return found
+
+
 # ---- Late samples: put back on the clock behind them, where the stamps show one
 # Delays add up to nothing, and what came late is followed by what comes close upon it.
 
 STAMPS_NOTE = "stamps"  # note of a log's info record: whose clock a camera's stamps are of
 BY_ARRIVALS = "even clock"  # how it begins where they were found from arrivals, the log's own times
 ARRIVALS = (BY_ARRIVALS, "arrival")  # how it begins where the times that are read are arrivals
+_TELLING = 0.4  # log likelihood of a sample that its place among the others is worth
 _LATE = 0.02  # of a period: standard deviation of delays that are worth a correction
 MAX_SAMPLES = 50_000  # of which a clock is sought: a quarter of an hour of a camera
 
@@ -611,14 +717,26 @@ def clock_behind(
 
 
 def _is_telling(clock: UniformClock) -> bool:
-    """Test by permutation whether shuffled steps are much less like a uniform clock."""
-    first = clock.arrivals_ns[:512]
-    shuffled = np.random.default_rng(0).permutation(np.diff(first))
-    whole = clock if len(first) == len(clock.arrivals_ns) else recover_uniform_clock(first)
-    other = recover_uniform_clock(first[0] + np.cumsum(np.append(0, shuffled)))
+    """Test by permutation whether shuffled steps are much less like a uniform clock.
+
+    A few rates bound by how much from above; where that is not far beyond what tells, it is solved.
+    """
+    first_ns = clock.arrivals_ns[:_BLOCK]
+    shuffled_ns = np.append(0, np.random.default_rng(0).permutation(np.diff(first_ns))).cumsum()
+    few = slice(3 * _FEWEST)
+    own, other = 1e-6 * (first_ns - first_ns[0])[few], 1e-6 * shuffled_ns[few]
+    step, scale = _usual_step(other)
+    periods = np.append(
+        step * np.exp(np.linspace(*_RATES, 8)), [other[-1] / len(other), clock.periods[0]]
+    )
+    gain = _best(other, periods, scale)[1] - _best(own, clock.periods[:1], _usual_step(own)[1])[1]
+    if gain > 2 * _TELLING * len(other):
+        return True
+    whole = clock if len(first_ns) == len(clock.arrivals_ns) else recover_uniform_clock(first_ns)
+    solved = recover_uniform_clock(first_ns[0] + shuffled_ns)
     assert whole is not None
-    assert other is not None
-    return other.cost - whole.cost > 0.4 * len(first)  # log likelihood
+    assert solved is not None
+    return solved.cost - whole.cost > _TELLING * len(first_ns)
 
 
 def _spread(values: NDArray[np.float64]) -> float:

@@ -16,7 +16,7 @@ import rerun.blueprint as rrb
 from tunenet_logs.analysis.drop.bounce_model import DRAG, RESTITUTION, SLOPE
 from tunenet_logs.analysis.drop.checks import DROP, off_s
 from tunenet_logs.analysis.drop.detection import AnyDetection, FilmDetection
-from tunenet_logs.analysis.drop.film import FilmedDrop
+from tunenet_logs.analysis.drop.film import ConvertedFilm, FilmedDrop
 from tunenet_logs.analysis.drop.motion import last_bounce_s, matched, simulated_m
 from tunenet_logs.analysis.drop.times.detection import TimesDetection, heard_heights_m
 from tunenet_logs.analysis.estimators.base import Step
@@ -54,6 +54,7 @@ class TunedBall:
     impact_s: float  # its first impact, on the log's time
     fall_time_s: float  # of a fall from the same height without air
     impacts_s: Array  # those of hops that do not look like rest, on the log's time, shape (I,)
+    rest_s: float | None  # when the last of these hops ends; None if the log ends first
 
     def heights(self, seconds: Array) -> Array:
         """Return heights above contact at times on the log's clock, shape (T,) [drop heights]."""
@@ -172,14 +173,19 @@ def _ball(detection: AnyDetection, last: Step, until_s: float) -> TunedBall | No
     unknowns[[RESTITUTION, SLOPE, DRAG]] = restitution, slope, drag_1_m * height_m
     bounce = fit.samples.bounce(unknowns)
     impact_s = drop.release_s + drop.fall_time_s * bounce.fall_time
-    if bounce.starts_in_flight:  # its release is where it is first seen
+    if drop.launched:  # its release is where it is first seen
         impact_s = drop.impact_s
     starts, speeds = bounce.flights((until_s - float(impact_s)) / float(drop.fall_time_s))
     hard = speeds > 0.1 * speeds[0]  # slower ones look like rest (1 % as high)
     hard[0] = True
     impacts_s = float(impact_s) + float(drop.fall_time_s) * starts[hard]
     impacts_s = impacts_s[impacts_s <= until_s]
-    return TunedBall(bounce, float(impact_s), float(drop.fall_time_s), impacts_s)
+    after = int(np.flatnonzero(hard)[-1]) + 1
+    rest_s = None
+    if after < len(starts):
+        rest_s = float(impact_s) + float(drop.fall_time_s) * float(starts[after])
+        rest_s = rest_s if rest_s <= until_s else None
+    return TunedBall(bounce, float(impact_s), float(drop.fall_time_s), impacts_s, rest_s)
 
 
 # ---- Chart of bounces: restitution against impact speed, with intervals
@@ -243,7 +249,7 @@ def log_film(
     film: FilmedDrop = tuning.detection.film
     shown = film.drop.seconds >= data.shown_s[0]
     first_ns, last_ns = film.track.stamps_ns[film.used][shown][[0, -1]].tolist()
-    log_pictures(stream, tuning, tuning.detection, (first_ns, last_ns))
+    log_pictures(stream, tuning, tuning.detection, (first_ns, last_ns), film.converted)
     seconds = film.drop.seconds[shown]
     observed = film.track.places_px[film.used][shown]
     radii = film.track.radius_px[film.used][shown]
@@ -306,13 +312,21 @@ def log_balls(
 
 
 def log_pictures(
-    stream: rr.RecordingStream, tuning: Tuning, found: FilmDetection, span_ns: tuple[int, int]
+    stream: rr.RecordingStream,
+    tuning: Tuning,
+    found: FilmDetection,
+    span_ns: tuple[int, int],
+    converted: ConvertedFilm | None = None,
 ) -> None:
     """Send the pictures of this time as recorded; bare pixels, or far too many, draw.reduced."""
     assert tuning.episode is not None
     shown: list[Frame] = []
     for recorded in draw.frames_to_show(tuning.episode, found.topic):
         stamp_ns = found.taken_ns.get(recorded.stamp_ns, recorded.stamp_ns)
+        if converted is not None and converted.is_sure:
+            stamp_ns = int(converted.how.placed_ns(np.array([stamp_ns]))[0])
+            if shown and shown[-1].stamp_ns == stamp_ns:  # the same picture, doubled
+                continue
         frame = replace(recorded, stamp_ns=stamp_ns)
         if not span_ns[0] <= frame.stamp_ns <= span_ns[1]:
             continue
@@ -677,24 +691,29 @@ def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, 
     return height_view, draw.plot_view("residual", title, span, data.shown_s)
 
 
+_REST = "rests"  # or hops a hundredth as high as the first
 _HELD, _FALLS, _FLIES = (95, 100, 115), (66, 120, 220), ((40, 140, 150), (50, 110, 125))
 
 
 def _log_phases(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
-    """Send what the ball does as states: in the hand, falling, each flight after an impact."""
+    """Send what the ball does as states: in the hand, falling, each flight, rest."""
     begins = {"in the hand": data.shown_s[0], "falls": max(data.release_s, data.shown_s[0])}
-    begins |= {f"flight {n}": at for n, at in enumerate(data.impacts_s.tolist(), 1)}
+    if data.ball is None:  # later impacts are not known
+        begins |= {"bounces": float(data.impacts_s[0])}
+    else:
+        begins |= {f"flight {n}": at for n, at in enumerate(data.impacts_s.tolist(), 1)}
+        begins |= {} if data.ball.rest_s is None else {_REST: data.ball.rest_s}
     if begins["falls"] <= data.shown_s[0]:
         del begins["in the hand"]
-    colors = {"in the hand": _HELD, "falls": _FALLS}
+    colors = {"in the hand": _HELD, "falls": _FALLS, _REST: _HELD}
     style = rr.StateConfiguration(
         values=list(begins),
-        labels=list(begins),
+        labels=[name.removeprefix("flight ") for name in begins],  # short ones are not cut
         colors=[colors.get(name, _FLIES[number % 2]) for number, name in enumerate(begins)],
     )
     seconds = np.array(list(begins.values()))
     draw.log_moving(stream, "phase", style, seconds, rr.StateChange.columns(state=list(begins)))
-    return rrb.StateTimelineView(contents=["+ /phase"], name="what the ball does")
+    return rrb.StateTimelineView(contents=["+ /phase"], name="what the ball does; numbers: flights")
 
 
 def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:

@@ -56,16 +56,28 @@ from tunenet_logs.terminal import Progress
 
 def clip_row(case: tuple[int, int]) -> list[Row]:
     """Tune the clip of a seed and an index."""
-    order = _drawn(*case)
+    return [{**_tuned(case, _drawn(*case)), "kind": "as drawn"}]
+
+
+def home_row(case: tuple[int, int]) -> list[Row]:
+    """Tune the clip of a seed and an index as people film at home."""
+    import cv2
+
+    cv2.setNumThreads(1)  # there is a process for each core
+    order, kind = films.draw_home_clip(*case)
+    return [{**_tuned(case, order), "kind": kind}]
+
+
+def _tuned(case: tuple[int, int], order: films.ClipOrder) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         tuning = tune_log(films.write_clip(order, Path(folder)), TuneOptions())
     off_px, found = None, 0.0
-    if tuning.detection is not None:
+    if tuning.detection is not None and order.kept == (1, 1):
         off = track_errors_px(order, tuning.detection.film.track)
         off_px = float(np.sqrt(np.nanmean((off**2).sum(axis=1))))
         found = min(np.isfinite(off[:, 0]).sum() / int(order.length_s * order.rate_hz), 1.0)
     ends = tuning.interval95
-    row = {
+    return {
         "seed": case[0],
         "index": case[1],
         "truth": order.ball.restitution,
@@ -79,7 +91,6 @@ def clip_row(case: tuple[int, int]) -> list[Row]:
         "seconds": tuning.seconds["total"],  # that reading and tuning took
         "length_s": order.held_s + order.length_s,
     }
-    return [row]
 
 
 def transformed_row(case: tuple[int, int]) -> list[Row]:
@@ -214,7 +225,16 @@ BAD = Section(
         for fault in camera.TRACK_FAULTS
     ),
 )
-TRACK_SECTIONS = (*SETS, SLOPE, DRAG, BAD)  # in the order in which they are run and printed
+CONVERTED = Section(
+    "converted",
+    "Films shown at another rate: falls of 0.2 to 5 m, .3 to .9, 0.3 and 1 px in turn",
+    tuple(
+        TrackKind(how.label, camera.FAULT_SET, camera.FAULT_BALLS, camera.NOISES_PX, how.name)
+        for how in camera.CONVERSIONS
+    ),
+)
+# In the order in which they are run and printed.
+TRACK_SECTIONS = (*SETS, SLOPE, DRAG, BAD, CONVERTED)
 
 
 # ---- Cramér-Rao bound of any fit of a filmed ball that knows that it keeps its restitution.
@@ -285,6 +305,7 @@ def run(order: Order, progress: Progress) -> Iterator[Part]:
     fraction = min(order.targets / STUDIES["video"].targets, 1.0)
     for name, full, work, tabulate in (
         ("clips", 100, clip_row, clip_table),
+        ("home", 100, home_row, home_table),
         ("transformed", 30, transformed_row, transformed_table),
     ):
         if name in order.sections:
@@ -310,7 +331,8 @@ def track_outcomes(case: tuple[TrackKind, int, range]) -> list[list[float]]:
     """
     kind, seed, numbers = case
     options = TuneOptions(ball=BALLS["table-tennis"]) if kind.is_named else TuneOptions()
-    fault = next((one for one in camera.TRACK_FAULTS if one.name == kind.fault), None)
+    faults = (*camera.TRACK_FAULTS, *camera.CONVERSIONS)
+    fault = next((one for one in faults if one.name == kind.fault), None)
     outcomes: list[list[float]] = []
     for number in numbers:
         noise_px = kind.noises_px[number % len(kind.noises_px)]
@@ -376,6 +398,38 @@ def clip_table(rows: Sequence[Row]) -> str:
     ]
     head = ["clips", "answered", "ok", "MAE", "median", "95 %", "worst", "held", "track, px"]
     return table([head, cells], "Drawn clips, as a stranger films them")
+
+
+def home_table(rows: Sequence[Row]) -> str:
+    """Tabulate clips as people film at home, by what is special of them."""
+    kinds = [*dict.fromkeys(row["kind"] for row in rows), "all"]
+    lines = [["", "clips", "answered", "ok", f"ok, off by > {_LITTLE:g}", "mean", "worst", "held"]]
+    for kind in kinds:
+        own = [row for row in rows if kind in (row["kind"], "all")]
+        told = [row for row in own if row["estimate"] is not None]
+        errors = [abs(row["estimate"] - row["truth"]) for row in told]
+        wrong = [
+            row["verdict"] == "ok" and error > _LITTLE and not _holds(row)
+            for row, error in zip(told, errors, strict=True)
+        ]
+        shown_rows = [row for row in told if row["interval"] is not None]
+        lines.append(
+            [
+                *(kind, str(len(own)), str(len(told))),
+                *(str(sum(row["verdict"] == "ok" for row in own)), str(sum(wrong))),
+                *(short(figure(errors)), short(figure(errors, np.max))),
+                f"{sum(map(_holds, shown_rows))} of {len(shown_rows)}",
+            ]
+        )
+    return table(lines, "Clips as people film at home: what is special of them")
+
+
+_LITTLE = 0.01  # of restitution, beyond the interval: wrong, if it is ok
+
+
+def _holds(row: Row) -> bool:
+    low, high = row["interval"] or (0.0, 1.0)
+    return bool(low <= row["truth"] <= high)
 
 
 def transformed_table(rows: Sequence[Row]) -> str:

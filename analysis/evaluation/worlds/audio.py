@@ -24,7 +24,7 @@ from tunenet_logs.analysis.evaluation.worlds.ball import (
     ball_log,
     bounced,
 )
-from tunenet_logs.analysis.evaluation.worlds.camera import SIZES_PX
+from tunenet_logs.analysis.evaluation.worlds.camera import SIZES_PX, upright
 from tunenet_logs.analysis.evaluation.worlds.clips import (
     ClipOrder,
     aac_stream,
@@ -995,7 +995,7 @@ def film_with_sound(
         exposure_s=float(rng.uniform(0.0, 0.008)),
         person=None,
         as_log=False,
-        heights_m=scene.history.heights_m,
+        points_m=lambda seconds: upright(scene.history.heights_m(seconds)),
     )
     return FilmedSound(*_heard(scene, snr_db, background, rng), order)
 

@@ -137,6 +137,51 @@ def drop_ball(ball: RealBall, seconds: Array) -> Fall:
     return Fall(path.at(seconds[None])[0], path.impacts_s[0], path.impact_speeds_m_s[0])
 
 
+@dataclass(frozen=True)
+class HomeDrop:
+    """Ball as people let it go: by a hand that moves, onto a table that gives, with a kick.
+
+    Time 0 is when the ball would have been at rest for this fall. Until it leaves the hand it goes
+    with it, at the speed that it then has.
+    """
+
+    ball: RealBall
+    hand_m_s: float = 0.0  # downward, when it lets go
+    ease_s: float = 0.1  # for which the hand has moved, from rest, before it does
+    contact_s: float = 0.0  # how long each impact's contact lasts; meanwhile the ball is squashed
+    kick_m_s: tuple[float, float] = (0.0, 0.0)  # sideways and away, from the first impact on
+    push_m_s: tuple[float, float] = (0.0, 0.0)  # likewise, from when it leaves the hand on
+
+    @property
+    def released_s(self) -> float:
+        """When it leaves the hand."""
+        return self.hand_m_s / GRAVITY_M_S2
+
+    def points_m(self, seconds: Array) -> Array:
+        """Return points over the first contact at these times, shape (T, 3) [m]."""
+        free = drop_ball(self.ball, np.append(seconds, seconds[-1] + 1.0))  # and one impact more
+        begins_s = free.impacts_s + self.contact_s * np.arange(len(free.impacts_s))
+        number = np.searchsorted(begins_s, seconds, side="right") - 1  # of the last impact
+        at = np.maximum(number, 0)
+        since = np.where(number < 0, 0.0, seconds - begins_s[at])
+        touches = (number >= 0) & (since < self.contact_s)
+        flown_s = seconds - self.contact_s * (number + 1)
+        heights = drop_ball(self.ball, np.maximum.accumulate(np.maximum(flown_s, 0.0))).heights_m
+        # A spring gives way as a half sine.
+        depth_m = free.impact_speeds_m_s[at] * self.contact_s / np.pi
+        phase = np.pi * since / max(self.contact_s, 1e-9)
+        heights = np.where(touches, -depth_m * np.sin(np.minimum(phase, np.pi)), heights)
+        # In the hand, which gains its speed evenly.
+        left_s = self.released_s
+        before = np.clip(left_s - seconds, 0.0, self.ease_s)
+        way_m = self.hand_m_s * (before - before**2 / (2 * self.ease_s))
+        release_m = self.ball.drop_m - GRAVITY_M_S2 / 2 * left_s**2
+        heights = np.where(seconds < left_s, release_m + way_m, heights)
+        pushed = np.maximum(seconds - left_s, 0.0)[:, None] * np.array(self.push_m_s)
+        kicked = np.maximum(seconds - begins_s[0], 0.0)[:, None] * np.array(self.kick_m_s)
+        return np.column_stack([(pushed + kicked)[:, ::-1], heights])
+
+
 class _Tape:
     """States of B balls as they are stepped, each a time, a height and a speed of shape (B,)."""
 

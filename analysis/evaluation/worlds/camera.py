@@ -25,7 +25,7 @@ from tunenet_logs.analysis.evaluation.worlds.ball import (
     RecordedDrop,
     drop_ball,
 )
-from tunenet_logs.analysis.tracking.track import Track
+from tunenet_logs.analysis.tracking.track import Track, new_pictures
 from tunenet_logs.episode import Array
 
 Mask = NDArray[np.bool_]
@@ -622,13 +622,8 @@ def _dropping(kept: Callable[[TrackScene, np.random.Generator], Mask]) -> Maker:
 
     def make(scene: TrackScene, rng: np.random.Generator) -> Track:
         track, shown = film(scene), kept(scene, rng)
-        return replace(
-            track,
-            stamps_ns=track.stamps_ns[: shown.sum()],
-            places_px=track.places_px[shown],
-            radius_px=track.radius_px[shown],
-            confidence=track.confidence[shown],
-        )
+        shown_track = track.some(np.flatnonzero(shown))
+        return replace(shown_track, stamps_ns=track.stamps_ns[: shown.sum()])
 
     return make
 
@@ -684,6 +679,39 @@ def _object(scene: TrackScene, places_px: Array) -> Track:
     radii = np.full(len(places_px), scene.view.radius_px(middle, scene.radius_m)[0])
     return track_from_pixels(scene, places_px, radii, np.zeros(len(places_px), dtype=bool))
 
+
+def _converted(source_hz: float, shown_hz: float) -> Maker:
+    """Film at one rate and show at another: each moment shows the picture nearest to it.
+
+    A picture that is shown twice is left out once where the ball moves, as a tracker does.
+    """
+
+    def make(scene: TrackScene, rng: np.random.Generator) -> Track:
+        begin_s, end_s = scene.seconds[[0, -1]].tolist()
+        seconds = np.arange(begin_s, end_s, 1 / source_hz)
+        track = film(replace(scene, seconds=seconds, lost=np.zeros(len(seconds), dtype=bool)))
+        moments = np.arange(int((end_s - begin_s) * shown_hz))
+        numbers = np.floor(moments * source_hz / shown_hz + rng.random()).astype(int)
+        moments = moments[numbers < len(seconds)]
+        numbers = numbers[moments]
+        unchanged = np.diff(numbers, prepend=-1) == 0
+        kept = new_pictures(track.places_px[numbers], unchanged)
+        shown = numbers[kept]
+        stamps_ns = np.round(moments[kept] / shown_hz * 1e9).astype(np.int64)
+        return replace(track.some(shown), stamps_ns=stamps_ns)
+
+    return make
+
+
+# What a converter of films makes of them: pictures filmed and shown a second.
+CONVERSIONS = tuple(
+    TrackFault(
+        f"{source_hz}-to-{shown_hz}",
+        f"{source_hz} pictures a second converted to {shown_hz}",
+        _converted(source_hz, shown_hz),
+    )
+    for source_hz, shown_hz in ((30, 24), (30, 25), (24, 30), (25, 30), (60, 25))
+)
 
 # Those of docs/accuracy.md, in its order.
 TRACK_FAULTS = (

@@ -25,6 +25,7 @@ from tunenet_logs.analysis.evaluation.worlds.ball import (
     MASS_KG,
     RADIUS_M,
     HiddenDrop,
+    HomeDrop,
     RealBall,
     drop_ball,
 )
@@ -310,9 +311,11 @@ class ClipOrder:
     jpeg_quality: int  # of 100
     h264_factor: int  # constant rate factor; smaller is better
     pixel_seed: int  # draws the noise
-    # of the ball over its contact at times after the release, shape (T,), where they are not what
+    # of the ball over its contact at times after the release, shape (T, 3), where they are not what
     # `ball` does by itself
-    heights_m: Callable[[Array], Array] | None = None
+    points_m: Callable[[Array], Array] | None = None
+    released_s: float = 0.0  # when it leaves the hand
+    kept: tuple[int, int] = (1, 1)  # of so many pictures in a row a converter kept so many
 
 
 def draw_clip(seed: int, index: int) -> ClipOrder:
@@ -353,6 +356,47 @@ def draw_clip_of(
         h264_factor=int(rng.integers(16, 24)),
         pixel_seed=int(rng.integers(2**31)),
     )
+
+
+def draw_home_clip(seed: int, index: int) -> tuple[ClipOrder, str]:
+    """Draw a clip as people film at home, and what is special of it: one thing at a time.
+
+    A hand that gives way, a table that gives at up to 480 pictures a second, a kick to the side, or
+    a converter that kept four of five pictures.
+    """
+    rng = np.random.default_rng([seed, index, 0x40E])
+    drop_m, restitution = float(rng.uniform(0.3, 1.6)), float(rng.uniform(0.4, 0.9))
+    slope, drag_1_m = (float(rng.choice([0.0, rng.uniform(0.0, most)])) for most in (0.12, 0.05))
+    ball = RealBall(restitution, slope, drag_1_m, drop_m)
+    kind = ("hand", "contact", "kick", "converted")[index % 4]
+    home, rate_hz, kept = HomeDrop(ball), float(rng.choice([30.0, 60.0, 120.0])), (1, 1)
+    impact_m_s = float(np.sqrt(2 * GRAVITY_M_S2 * drop_m))
+    if kind == "hand":
+        hand_m_s = float(rng.uniform(0.05, 0.3)) * impact_m_s
+        # A hand that falls faster than the ball does not hold it.
+        ease_s = float(rng.uniform(1.2, 4.0)) * hand_m_s / GRAVITY_M_S2
+        home = HomeDrop(ball, hand_m_s, ease_s)
+    elif kind == "contact":
+        rate_hz = float(rng.choice([120.0, 240.0, 480.0]))
+        home = HomeDrop(ball, contact_s=float(rng.uniform(0.003, 0.015)))
+    elif kind == "kick":
+        angle, speed = rng.uniform(0.0, 2 * np.pi), rng.uniform(0.02, 0.12) * impact_m_s
+        home = HomeDrop(ball, kick_m_s=(float(speed * np.cos(angle)), float(speed * np.sin(angle))))
+    else:
+        rate_hz, kept = 30.0, (5, 4)
+    sizes_px = SIZES_PX[:5] if rate_hz > 120 else SIZES_PX
+    order = draw_clip_of(ball, rng, sizes_px)
+    return replace(
+        order,
+        points_m=home.points_m,
+        released_s=home.released_s,
+        kept=kept,
+        rate_hz=rate_hz,
+        length_s=min(order.length_s, 2.5 if rate_hz > 120 else _MAX_S),
+        exposure_s=float(rng.uniform(0.0, min(0.008, 0.95 / rate_hz))),
+        person=None,
+        as_log=order.as_log and kept == (1, 1),
+    ), kind
 
 
 def _visible_look(
@@ -452,8 +496,8 @@ def frame_seconds(order: ClipOrder) -> Array:
 
 def centers_m(order: ClipOrder, seconds: Array) -> Array:
     """Return the ball's centre in the world, shape (T, 3) [m], at `seconds` after the release."""
-    own = order.heights_m or (lambda seconds: drop_ball(order.ball, seconds).heights_m)
-    return upright(own(seconds) + order.look.radius_m)
+    own = order.points_m or (lambda seconds: upright(drop_ball(order.ball, seconds).heights_m))
+    return own(seconds) + np.array([0.0, 0.0, order.look.radius_m])
 
 
 def places_px(order: ClipOrder) -> Array:
@@ -528,8 +572,8 @@ def _add_hand(frame: Picture, order: ClipOrder, hand: Hand, second: float) -> No
     """Draw a palm with an arm that comes from beyond the image's edge."""
     import cv2
 
-    start = upright(np.array([order.ball.drop_m + order.look.radius_m]))
-    after = max(second, 0.0)
+    start = centers_m(order, np.array([min(second, order.released_s)]))
+    after = max(second - order.released_s, 0.0)
     low = start - np.array([0.0, 0.0, GRAVITY_M_S2 * min(after, hand.follows_s) ** 2 / 4])
     (x, y), (_, below) = order.view.image_from_world(np.vstack([start, low]))
     radius = float(order.view.radius_px(start, order.look.radius_m)[0])
@@ -587,10 +631,16 @@ def write_versions(order: ClipOrder, folder: Path, versions: tuple[str, ...]) ->
                 else mp4(path, (width, height), order.h264_factor)
             )
         seconds = (frame_seconds(order) + order.held_s).tolist()
+        of, kept = order.kept
         for at, (picture, second) in enumerate(zip(clip_frames(order), seconds, strict=True)):
+            if at % of >= kept:
+                continue
+            stamped_s = second
+            if kept < of:  # a converter stamps evenly what it keeps
+                stamped_s = (at // of * kept + at % of) * of / kept / order.rate_hz
             for one, add in sinks.items():
                 if one != _SPARSE or at % 2 == 0:
-                    add(_changed(picture, one), second * (8 if one == _SLOW else 1))
+                    add(_changed(picture, one), stamped_s * (8 if one == _SLOW else 1))
     for one, path in zip(versions, paths, strict=True):
         if one == _ROTATED:  # set its flag to a quarter turn, clockwise
             data = bytearray(path.read_bytes())

@@ -23,6 +23,7 @@ from tests.recorders.mjpeg_camera import check_times, playing
 from tests.strangers import Stranger, write_poses
 from tunenet_logs import messages
 from tunenet_logs.analysis.batch import run as one_log
+from tunenet_logs.analysis.evaluation.worlds import clips
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tracking.frames import Pictures
@@ -325,6 +326,19 @@ def test_a_film_of_unknown_rate_tells_a_restitution_and_no_metre(
     assert value(timed) == pytest.approx(without, abs=2e-3)
     assert timed.detection.tells_speed
     assert timed.detection.extent[1].endswith(" m")
+
+
+def test_a_rendered_clip_converted_to_another_rate_tells_the_same(tmp_path: Path):
+    order = replace(clips.draw_clip(9955, 0), rate_hz=30.0)
+    pictures = list(clips.clip_frames(order))
+    size_px = pictures[0].shape[1::-1]
+    with clips.mp4(tmp_path / "a.mp4", size_px, order.h264_factor) as add:
+        for moment in range(len(pictures) * 24 // 30):
+            add(pictures[moment * 30 // 24], moment / 24)
+    tuning = tune_log(tmp_path / "a.mp4", TuneOptions())
+    assert tuning.verdict == "ok"
+    assert abs(value(tuning) - order.ball.restitution) < 0.005
+    assert any("converted from 30 to 24 pictures a second" in one for one in tuning.warnings)
 
 
 @pytest.mark.parametrize(("kind", "length_s"), [("drop_log", "6.65"), ("short", "1.77")])

@@ -21,6 +21,7 @@ from tunenet_logs.analysis.evaluation.study import (
     STUDIES,
     Order,
 )
+from tunenet_logs.errors import pip_install
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import Progress
 
@@ -48,8 +49,8 @@ SMALL = {
     "throws": ("--targets 5", ("dribbled", "tossed")),
     "impact-times": ("--targets 8", ("one missed", "drum roll")),
     "video": (
-        "--targets 2 --sections 'slope, set-B,bound' --first-seed 1000",
-        ("Set B: falls", "falls with speed"),
+        "--targets 2 --sections 'slope, set-B,converted,bound' --first-seed 1000",
+        ("Set B: falls", "falls with speed", "30 pictures a second converted to 24"),
     ),
     "real-balls": ("--targets 1", ("Restitution at the first impact: films", "best airless")),
     "bounce-shot": ("--targets 2 --pairs 50", ("paper's, on the table", "62 %", "off the table")),
@@ -168,4 +169,4 @@ def test_a_library_that_is_missing_is_one_line(
     monkeypatch.setitem(sys.modules, module, None)
     assert main(["drop", *words.split()]) == 2
     told = capsys.readouterr().err
-    assert told == (f"tunenet-eval: {module} is not installed; pip install 'tunenet-logs[eval]'\n")
+    assert told == (f"tunenet-eval: {module} is not installed; {pip_install('eval')}\n")

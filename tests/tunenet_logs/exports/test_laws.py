@@ -22,7 +22,7 @@ import pytest
 
 from tests.conftest import ROOT, real
 from tests.small_exports import KINDS, SLOW, small
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import LogError, pip_install
 from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 
@@ -152,7 +152,7 @@ def test_without_a_library_what_needs_it_is_told_and_the_rest_is_read(
     assert done.returncode == 2 ** len(needed) - 1, done.stderr
     said = done.stderr.splitlines()
     assert len(said) == len(needed)
-    assert all("pip install 'tunenet-logs[tables]'" in one for one in said)
+    assert all(pip_install("tables") in one for one in said)
 
 
 @pytest.mark.parametrize(

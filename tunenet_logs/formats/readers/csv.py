@@ -153,8 +153,10 @@ def offer_by_name(names: Sequence[str]) -> str:
     if axes or other is None:
         return said
     meaning = meanings[other]
-    value = f"{meaning.quantity}_1" if isinstance(meaning, JointColumn) else "z"
-    return f"{said},{value}={_quoted(names, other)}"
+    name = _quoted(names, other)
+    if isinstance(meaning, JointColumn):
+        return f"{said},{meaning.quantity}_1={name}"
+    return f"{said},z={name} for a height, position_1={name} for a joint"
 
 
 def _quoted(names: Sequence[str], at: int) -> str:

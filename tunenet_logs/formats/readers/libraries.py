@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Signal
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import LogError, pip_install
 from tunenet_logs.formats.columns.table import Table, episode_of_table, name_of_run, number_names
 from tunenet_logs.formats.kinds import Start, is_hdf5
 from tunenet_logs.formats.options import ReadOptions
@@ -47,10 +47,7 @@ class Library:
         """Read a file's tables by the names of their columns."""
         name = self.modules[0].partition(".")[0]
         if find_spec(name) is None:
-            raise LogError(
-                f"{path}: is {self.what}, which needs {name}: "
-                f"pip install 'tunenet-logs[{self.extra}]'"
-            )
+            raise LogError(f"{path}: is {self.what}, which needs {name}: {pip_install(self.extra)}")
         if (size := path.stat().st_size) > self.most_bytes:
             raise LogError(
                 f"{path}: has {size} bytes, over the limit of {self.most_bytes >> 20} MiB of "

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import UNSTATED, Episode
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import LogError, pip_install
 from tunenet_logs.files import open_regular, real_path
 from tunenet_logs.formats.columns.cells import Clock
 from tunenet_logs.formats.columns.names import TimeColumn, meaning_of, spread_names
@@ -57,7 +57,7 @@ def parquet_rows(path: Path, most_cells: int) -> Iterator[list[dict[str, Any]]]:
 @contextmanager
 def _opened(path: Path) -> Iterator[Sandbox]:
     if find_spec("pyarrow") is None:
-        raise LogError(f"{path}: {_kind(path)} needs pyarrow: pip install 'tunenet-logs[tables]'")
+        raise LogError(f"{path}: {_kind(path)} needs pyarrow: {pip_install('tables')}")
     try:
         with Sandbox("numpy", "pyarrow.parquet") as sandbox:
             yield sandbox

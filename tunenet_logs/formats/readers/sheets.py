@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Signal
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import LogError, pip_install
 from tunenet_logs.formats.columns.cells import (
     SEPARATORS,
     Numbers,
@@ -190,9 +190,7 @@ class Sheet:
 def sheets_of(path: Path, what: str, *, is_archive: bool) -> list[Sheet]:
     """Read all sheets of a file."""
     if not is_archive and find_spec("python_calamine") is None:
-        raise LogError(
-            f"{path}: is a {what}, which needs python-calamine; pip install 'tunenet-logs[tables]'"
-        )
+        raise LogError(f"{path}: is a {what}, which needs python-calamine; {pip_install('tables')}")
     if (size := path.stat().st_size) > 128 * 1024**2:
         raise LogError(
             f"{path}: is a {what} of {size >> 20} MiB, over the limit of 128 MiB; save the "
