@@ -665,11 +665,12 @@ def remarks(record: Record) -> Items:
     lines += record.motion.unidentifiable
     cross, fit, same = record.cross_check, record.motion.fit, record.motion.equivalents
     if cross is not None and cross.tells:
-        said = f"A second estimate {'agrees' if cross.agrees else 'disagrees'}: {cross.value:.4f}"
+        within = "is within what such logs allow" if cross.agrees else "disagrees"
+        said = f"A second estimate {within}: {cross.value:.4f}"
         said += "" if cross.noise95 is None else f" ± {cross.noise95:.4f} by its noise alone"
         said += f", by {cross.method}"
         if cross.tolerance is not None:
-            said += f"; up to {cross.tolerance:.4f} off counts as agreed"
+            said += f"; allowed is {cross.tolerance:.4f}"
         lines.append(f"{said}.")
     if fit is not None:
         left = f", {fit.left_out} left out" if fit.left_out else ""

@@ -276,9 +276,11 @@ class DropFromFilm(BallDrop):
         assert last.evaluation is not None
         film, drop = detection.film, detection.drop
         fitted = drop.seconds >= film.posterior.fit.samples.seconds[0]
+        heights_m = drop.heights_m
         if film.posterior.fit.samples.is_soft:  # squashed, its middle is below
-            fitted &= ~film.projection.touches(drop.seconds)
-        part = replace(drop, seconds=drop.seconds[fitted], heights_m=drop.heights_m[fitted])
+            touches = film.projection.touches(drop.seconds)
+            heights_m = np.where(touches, np.maximum(heights_m, drop.contact_m), heights_m)
+        part = replace(drop, seconds=drop.seconds[fitted], heights_m=heights_m[fitted])
         excused_s = seconds_out_of_view(film)
         excused_s = excused_s[(excused_s > part.seconds[0]) & (excused_s < part.seconds[-1])]
         # How far it goes after the second impact does not touch the first.

@@ -266,9 +266,9 @@ def converted_film(
         """Return the fit from where one to the whole track on a source's clock begins."""
         placed_ns = how.placed_ns(start_ns + np.round(1e9 * whole.seconds).astype(np.int64))
         placed_ns, rows = np.unique(placed_ns, return_index=True)
-        seconds, positions = (placed_ns - start_ns) * 1e-9, whole.positions[rows]
+        placed = replace(whole.only(rows), seconds=(placed_ns - start_ns) * 1e-9)
         try:
-            found, _ = _find_fit(noisy(replace(whole, seconds=seconds, positions=positions)))
+            found, _ = _find_fit(noisy(placed))
         except _NoDropError:
             return there
         start = np.append(found.fit.unknowns[: DRAG + 1], fit.unknowns[DRAG + 1 :])
@@ -512,16 +512,22 @@ def _moves_by_size(samples: BounceSamples, fit: BounceFit) -> tuple[Array, Array
         columns = np.hstack([columns, -since / depth[:, None]])
         off = sizes + np.log(depth)
         off += columns[:, 2] * grow + columns[:, 3:] @ rates
-        found, residuals, spread, weights = _robust(columns, off)
-        grow, rates = float(np.clip(found[2], -0.8, 3.0)), np.clip(found[3:], -1.0, 1.0)
+        _, residuals, spread, weights = _robust(columns, off)
         together = spread**2 * correlation_time(residuals, columns.shape[1])
         normal = (columns * weights[:, None]).T @ (columns * weights[:, None]) / together
-        covariance = np.linalg.inv(normal + np.eye(len(normal)))[3:, 3:]  # no rate is above 1
-    covariance = covariance + _SIZE_SD**2 * np.eye(len(rates))
+        # Of a flight with few sizes the rate is what few balls exceed.
+        known_of = [0.0, 0.0, 1.0, *[_FEW_EXCEED**-2] * len(rates)]
+        inverse = np.linalg.inv(normal + np.diag(known_of))
+        found = inverse @ ((columns * weights[:, None]).T @ (off * weights)) / together
+        grow, rates = float(np.clip(found[2], -0.8, 3.0)), np.clip(found[3:], -1.0, 1.0)
+        covariance = inverse[3:, 3:]
+    # Blur and light change an outline, too.
+    covariance = 4.0 * covariance + _SIZE_SD**2 * np.eye(len(rates))
     return rates / unit, covariance / unit**2, float(np.log1p(grow))
 
 
-_SIZE_SD = 0.01  # of a rate by the ball's size [a fall time], at least
+# Of a rate by the ball's size [a fall time]: the least standard deviation, and that of all balls.
+_SIZE_SD, _FEW_EXCEED = 0.04, 0.15
 
 
 def with_contact(whole: BounceSamples, fit: BounceFit) -> BounceFit:
@@ -1000,6 +1006,9 @@ def _find_drop(
             if converted is not None and converted.is_sure:
                 return _find_drop(converted.placed(track), start_ns, ball, converted)
         found, impacts, uneven_s = _trusted_fit(whole, first)
+        # A way to the side may explain a hand's, too.
+        if found.fit.samples.moves_s and free_flight(track).is_carried:
+            raise _NoDropError(impacts, fitted=True)
     except _NoDropError as error:
         reason = why_not(track, whole, error.impacts, fitted=error.fitted)
         raise NotFoundError(reason) from error

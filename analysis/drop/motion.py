@@ -351,7 +351,7 @@ def _blurred(samples: BounceSamples, view: Projection, seconds: Array) -> Array:
     return np.where(near, np.maximum(np.abs(early - at), np.abs(late - at)), 0.0)
 
 
-_STREAK_SHARE = 0.05  # of the length of a streak, by which its middle is unsure
+_STREAK_SHARE = 0.03  # of the length of a streak, by which its middle is unsure
 
 
 def _streaks(samples: BounceSamples, view: Projection, seconds: Array) -> Array:

@@ -263,6 +263,15 @@ def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> rrb.View:
         for second in draw.ticks(0.0, axes.span_s)
     ]
     draw.log_grid(stream, "sheets/overlay", _OVERLAY_WIDTH, rows, marks)
+    # All drops of the campaign lie behind, faint.
+    drops = [shown.drop for slot in slots for shown in slot.drops]
+    every = rr.LineStrips2D(
+        [points for points in (_curves(drop, axes)[0] for drop in drops) if len(points) > 1],
+        colors=[(*draw.MUTED, 110)],
+        radii=draw.screen_radius(0.4),
+        draw_order=10.0,
+    )
+    stream.log("sheets/overlay/every", every, static=True)
 
     # A row per drop; an empty one clears the last drop's curve.
     def dots(_: str, begun: list[Begun]) -> Any:
@@ -299,7 +308,7 @@ def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> rrb.View:
     )
     log_begun(stream, slots, "sheets/overlay/words", style, words)
     _log_now(stream, slots, axes)
-    title = "its drop: height above the table, observed (dots), tuned (line)"
+    title = "its drop: height above the table, observed (dots), tuned (line); all drops (faint)"
     return draw.chart_view("overlay", title, _OVERLAY_WIDTH)
 
 
