@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,11 +193,13 @@ def _band_powers(samples: Array, rate_hz: float) -> Array:
     The bands are Butterworth's of the second order, by the bilinear transform, as products of
     spectra: silence behind the sound takes up what would come round.
     """
-    from scipy.fft import irfft, next_fast_len, rfft
+    from numpy.fft import irfft, rfft
+    from scipy.fft import next_fast_len
 
     hop, wide = _hop(rate_hz), max(round(_FRAME_S / _HOP_S), 1)
     edges = [edge for edge in _BAND_EDGES_HZ if edge < 0.46 * rate_hz]
-    size = next_fast_len(len(samples) + math.ceil(_RINGS_S * rate_hz), real=True)
+    wanted = len(samples) + math.ceil(_RINGS_S * rate_hz)
+    size = cast("int", next_fast_len(wanted, real=True))  # SciPy's types say that it is None
     spectrum = rfft(samples, size)
     analog = np.tan(np.arange(len(spectrum)) * (np.pi / size))  # frequencies, prewarped
     found = []

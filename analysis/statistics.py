@@ -63,6 +63,23 @@ def surer_noise_of(heights: Array, seconds: Array | None = None) -> float:
     return float(np.sqrt(np.mean(noise**2))) * _TRIMMED
 
 
+def robust_regression(columns: Array, values: Array) -> tuple[Array, Array, float, Array]:
+    """Regress values (N,) on columns (N, U) by reweighting of what is far off (Cauchy).
+
+    Returns coefficients (U,), residuals (N,), their spread, and the weights of rows (N,).
+    """
+    weights: Array = np.ones(len(values))
+    found: Array = np.zeros(columns.shape[1])
+    residuals, spread = values, 1.0
+    for _ in range(5):
+        rows = columns * weights[:, None]
+        found = np.asarray(np.linalg.lstsq(rows, values * weights)[0], dtype=np.float64)
+        residuals = values - columns @ found
+        spread = 1.4826 * float(np.median(np.abs(residuals))) + 1e-6
+        weights = 1 / np.sqrt(1 + (residuals / spread / 2) ** 2)
+    return found, residuals, spread, weights
+
+
 def normalised(logs: Array) -> tuple[Array, float]:
     """Return weights in proportion to exp(logs) that add up to 1, and the log of their sum."""
     most = logs.max()
@@ -79,7 +96,9 @@ def mixture_quantile(probability: float, middles: Array, sds: Array, weights: Ar
     middles, sds, weights = middles[heavy], sds[heavy], weights[heavy] / weights[heavy].sum()
     low, high = float((middles - 9 * sds).min()), float((middles + 9 * sds).max())
     value = float(weights @ middles)
-    while high - low > 1e-9:
+    for _ in range(100):  # bisection alone needs half as many
+        if not high - low > 1e-9:
+            break
         off = (value - middles) / sds
         beyond = float(weights @ ndtr(off)) - probability
         low, high = (low, value) if beyond > 0 else (value, high)

@@ -282,7 +282,9 @@ def with_sound(pictures: BallPosterior, heard: HeardImpacts) -> FusedEstimate:
 def _joint_fit(fit: BounceFit, match: HeardMatch, heard: HeardImpacts) -> BounceFit | None:
     """Fit both, without onsets that are far off; None where too few are left."""
     start = fit.unknowns.copy()
-    start[[OFFSET, TOUCH]] = match.offset_s, TOUCH_S
+    start[OFFSET] = match.offset_s
+    if not fit.samples.is_soft:  # else pictures show how long a contact lasts
+        start[TOUCH] = TOUCH_S
     touches = match.touches
     joint = _consistent(_likeliest(fit.samples, start, touches))
     for _ in range(3):  # in each, later impacts are listened for

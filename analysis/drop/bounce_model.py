@@ -287,6 +287,17 @@ class BounceSamples:
         heard = () if self.heard is None else (OFFSET,)
         return (*seen, *heard, *((TOUCH,) if self.lasts else ()))
 
+    @cached_property
+    def log_radii(self) -> Array:
+        """Logarithm of the ball's radius, NaN where that is not known, shape (T,)."""
+        radii = np.full(len(self.seconds), np.nan) if self.radii is None else self.radii
+        return np.log(np.where(radii > 0, radii, np.nan))
+
+    @property
+    def sized_samples(self) -> NDArray[np.bool_]:
+        """Whether the ball's radius is known, shape (T,)."""
+        return np.isfinite(self.log_radii)
+
     @property
     def moving(self) -> tuple[int, ...]:
         """Indices of the rates at which the ball's distance changes."""
@@ -464,7 +475,7 @@ class BounceSamples:
                 rates = dict(zip(self.moving, row, strict=True))
                 found.append(Prior(rates, one, 1.0, HEARD_FREEDOM))
         if self.lasts:
-            found.append(about(TOUCH, TOUCH_S, TOUCH_SD_S if self.heard else SOFT_SD_S))
+            found.append(about(TOUCH, TOUCH_S, SOFT_SD_S if self.is_soft else TOUCH_SD_S))
         if self.heard is None:
             return found
         # Of the sound's offset and the contacts, and the times as measurements.

@@ -41,7 +41,7 @@ from tunenet_logs.analysis.drop.times.model import HeardBall, Whitening
 from tunenet_logs.analysis.drop.times.search import BallAmong
 from tunenet_logs.analysis.estimators.base import FitResult, Observation, Step
 from tunenet_logs.analysis.record import SimulationFit, Units
-from tunenet_logs.analysis.statistics import noise_of
+from tunenet_logs.analysis.statistics import noise_of, robust_regression
 from tunenet_logs.episode import Array, median_step
 from tunenet_logs.recorders.simulators.base import CALIBRATED
 
@@ -73,7 +73,7 @@ DROP = table(
         seen="{value} {unit} sideways",
         measures="sideways travel (of a film up to the second impact)",
         passes="at most half the drop height, or half of the impact's speed times the recorded "
-        "time, if more",
+        "time, if more; of a film a quarter, until the second impact",
         advice="let go without a push, over a level surface",
     ),
     CheckSpec(
@@ -725,13 +725,7 @@ def size_trend(
     length = float(np.ptp(times[good]))
     columns = np.column_stack([np.ones(len(times)), depth, times / length, speed])[good]
     sizes = np.log(radius_px[good]) - nearer[good]
-    weights = np.ones(len(sizes))
-    found, spread = np.zeros(columns.shape[1]), 0.0
-    for _ in range(5):
-        found = np.linalg.lstsq(columns * weights[:, None], sizes * weights, rcond=None)[0]
-        residuals = sizes - columns @ found
-        spread = 1.4826 * float(np.median(np.abs(residuals))) + 1e-6
-        weights = 1 / np.sqrt(1 + (residuals / spread / 2) ** 2)
+    found, _, spread, _ = robust_regression(columns, sizes)
     sds = spread * np.sqrt(np.diag(np.linalg.pinv(columns.T @ columns)))
     return SizeTrend(
         grows=float(found[2]),

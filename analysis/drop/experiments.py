@@ -289,6 +289,8 @@ class DropFromFilm(BallDrop):
         if len(impacts) > 1:
             second_s = view.impact_s + view.fall_time_s * impacts[1]
             sideways_m = sideways_m[part.seconds <= second_s]
+        # Of the impact's speed, over the whole time: a quarter, as far as it is looked at.
+        most_sideways = 0.25 * len(sideways_m) / len(part.seconds)
         least_seen = None
         if view.moves:  # heights alone do not tell a rebound from a way to the side
             least_seen = 0.1 + (2 * view.bounce.restitution if len(impacts) < 2 else impacts[1])
@@ -298,7 +300,14 @@ class DropFromFilm(BallDrop):
             ),
             *film_checks(film),
             # An impact may hide in a gap of more than 0.4 fall times, even of few pictures.
-            *recording_checks(part, sideways_m, 0.4, excused_s, least_seen=least_seen),
+            *recording_checks(
+                part,
+                sideways_m,
+                0.4,
+                excused_s,
+                most_sideways=most_sideways,
+                least_seen=least_seen,
+            ),
         ]
         checks += scale_checks(detection)
         if not detection.physical:  # z and y are not to be compared

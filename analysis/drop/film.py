@@ -59,7 +59,7 @@ from tunenet_logs.analysis.drop.bounce_posterior import BallPosterior, ball_post
 from tunenet_logs.analysis.drop.free_flight import Drop, run_slopes, slope_corners
 from tunenet_logs.analysis.drop.presets import canonical_axis, canonical_observation, paper_axis
 from tunenet_logs.analysis.estimators.base import Observation, resample
-from tunenet_logs.analysis.statistics import correlation_time, noise_of
+from tunenet_logs.analysis.statistics import correlation_time, noise_of, robust_regression
 from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.episode import Array, median_step
 from tunenet_logs.errors import NotFoundError
@@ -407,10 +407,8 @@ def _of_first_flights(whole: BounceSamples, impacts: Sequence[int], fit: BounceF
     return FilmFit(fit)
 
 
-_MOVES_GAIN = (
-    8.0  # log likelihood: any noise bends a way a little, and of 100 straight ways 1 has 8
-)
-_CONTACT_GAIN = 5.0
+# Log likelihoods gained: any noise bends a way a little, and of 100 straight ways 1 gains 8.
+_MOVES_GAIN, _CONTACT_GAIN = 8.0, 5.0
 
 
 def with_moves(fit: BounceFit) -> BounceFit:
@@ -450,6 +448,7 @@ def _move_times_s(fit: BounceFit) -> tuple[float, ...]:
 
 
 _VIEWS = (-0.4, -0.1)  # perspectives: a camera a little higher than the ball
+_LEAST_SIZES = 3 * MIN_SAMPLES  # of a ball, for its distance by them
 
 
 def straightened(whole: BounceSamples, impacts: Sequence[int]) -> BounceSamples | None:
@@ -458,35 +457,19 @@ def straightened(whole: BounceSamples, impacts: Sequence[int]) -> BounceSamples 
     It is as far as its size says, with a rate of its own from each impact on; and all impacts are
     on one table, however the camera looks at it.
     """
-    radii, seconds, along = whole.radii, whole.seconds, whole.positions
-    known = np.isfinite(radii) & (radii > 0) if radii is not None else np.zeros(0, dtype=bool)
-    if radii is None or np.count_nonzero(known) < 3 * MIN_SAMPLES or len(impacts) < 2:
+    known, seconds, along = whole.sized_samples, whole.seconds, whole.positions
+    if np.count_nonzero(known) < _LEAST_SIZES or len(impacts) < 2:
         return None
     speed, low = np.abs(np.gradient(along, seconds)), along.min()
     moves_s = seconds[[fall_start(along, impacts[0], 0.96, whole.noise), *impacts[:MAX_IMPACTS]]]
     since = since_moves(seconds, moves_s.tolist())
     columns = [np.ones(len(along)), speed / speed.max(), (along - low) / np.ptp(along), *since.T]
-    found = _robust(np.column_stack(columns)[known], np.log(radii[known]))[0]
+    found = robust_regression(np.column_stack(columns)[known], whole.log_radii[known])[0]
     depth = np.exp(np.clip(-(since @ found[3:]), -1.0, 1.0))
     straight = whole.center + (along - whole.center) * depth
     table = np.column_stack([np.ones(len(impacts)), depth[impacts] - 1])
     slope = np.linalg.lstsq(table, straight[impacts], rcond=None)[0][1]
     return replace(whole, positions=straight - slope * (depth - 1))
-
-
-def _robust(columns: Array, values: Array) -> tuple[Array, Array, float, Array]:
-    """Regress by reweighting; return coefficients, residuals, their spread and the weights."""
-    weights: Array = np.ones(len(values))
-    found: Array = np.zeros(columns.shape[1])
-    residuals, spread = values, 1.0
-    for _ in range(4):
-        found = np.asarray(
-            np.linalg.lstsq(columns * weights[:, None], values * weights)[0], np.float64
-        )
-        residuals = values - columns @ found
-        spread = 1.4826 * float(np.median(np.abs(residuals))) + 1e-6
-        weights = 1 / np.sqrt(1 + (residuals / spread / 2) ** 2)
-    return found, residuals, spread, weights
 
 
 def _moves_by_size(samples: BounceSamples, fit: BounceFit) -> tuple[Array, Array, float] | None:
@@ -495,12 +478,11 @@ def _moves_by_size(samples: BounceSamples, fit: BounceFit) -> tuple[Array, Array
     None where too few sizes are known. Light and blur change an outline, too, so that no rate is
     surer than `_SIZE_SD`.
     """
-    seconds, radii = samples.seconds, samples.radii
-    known = np.isfinite(radii) & (radii > 0) if radii is not None else np.zeros(0, dtype=bool)
-    if radii is None or np.count_nonzero(known) < 3 * MIN_SAMPLES:
+    seconds, known = samples.seconds, samples.sized_samples
+    if np.count_nonzero(known) < _LEAST_SIZES:
         return None
     view, fall_s = fit.projection(), float(np.exp(fit.unknowns[FALL]))
-    sizes, speed = np.log(radii[known]), np.abs(np.gradient(samples.positions, seconds))[known]
+    sizes, speed = samples.log_radii[known], np.abs(np.gradient(samples.positions, seconds))[known]
     heights = np.clip(view.heights(samples.positions, seconds), 0.0, 1.2)[known]
     since = since_moves(seconds, samples.moves_s)[known] / fall_s
     rates, grow, unit = np.zeros(since.shape[1]), 0.0, MOVE_SD
@@ -512,7 +494,7 @@ def _moves_by_size(samples: BounceSamples, fit: BounceFit) -> tuple[Array, Array
         columns = np.hstack([columns, -since / depth[:, None]])
         off = sizes + np.log(depth)
         off += columns[:, 2] * grow + columns[:, 3:] @ rates
-        _, residuals, spread, weights = _robust(columns, off)
+        _, residuals, spread, weights = robust_regression(columns, off)
         together = spread**2 * correlation_time(residuals, columns.shape[1])
         normal = (columns * weights[:, None]).T @ (columns * weights[:, None]) / together
         # Of a flight with few sizes the rate is what few balls exceed.
@@ -535,7 +517,6 @@ def with_contact(whole: BounceSamples, fit: BounceFit) -> BounceFit:
     if fit.samples.is_soft:
         return fit
     samples = replace(fit.samples, is_soft=True)
-    hard = replace(fit, samples=samples, free=(*fit.free, TOUCH))
     # Rao's score: what a fit would gain.
     known, _ = np.linalg.qr(fit.samples.jacobian(fit.unknowns, fit.free))
     column = samples.jacobian(fit.unknowns, (TOUCH,))[:, 0]

@@ -217,21 +217,19 @@ DRAG = Section(
         for given, noise in (("given", 0.3), ("given", 1.0), ("not given", 0.3))
     ),
 )
-BAD = Section(
-    "bad",
-    "Bad tracks: falls of 0.2 to 5 m, .3 to .9, 0.3 and 1 px in turn",
-    tuple(
-        TrackKind(fault.label, camera.FAULT_SET, camera.FAULT_BALLS, camera.NOISES_PX, fault.name)
-        for fault in camera.TRACK_FAULTS
-    ),
-)
-CONVERTED = Section(
-    "converted",
-    "Films shown at another rate: falls of 0.2 to 5 m, .3 to .9, 0.3 and 1 px in turn",
-    tuple(
-        TrackKind(how.label, camera.FAULT_SET, camera.FAULT_BALLS, camera.NOISES_PX, how.name)
-        for how in camera.CONVERSIONS
-    ),
+BAD, CONVERTED = (
+    Section(
+        name,
+        f"{title}: falls of 0.2 to 5 m, .3 to .9, 0.3 and 1 px in turn",
+        tuple(
+            TrackKind(one.label, camera.FAULT_SET, camera.FAULT_BALLS, camera.NOISES_PX, one.name)
+            for one in kinds
+        ),
+    )
+    for name, title, kinds in (
+        ("bad", "Bad tracks", camera.TRACK_FAULTS),
+        ("converted", "Films shown at another rate", camera.CONVERSIONS),
+    )
 )
 # In the order in which they are run and printed.
 TRACK_SECTIONS = (*SETS, SLOPE, DRAG, BAD, CONVERTED)
