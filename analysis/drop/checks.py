@@ -7,7 +7,7 @@ and the cross-check of a drop that was only heard.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -574,7 +574,11 @@ def film_checks(film: FilmedDrop) -> list[Check]:
     gain, moment_s = float(gains.max()), float(moments_s[gains.argmax()])
     uneven_s = film.uneven_s
     left_out = "" if uneven_s is None else f"; what comes after {uneven_s:.2f} s is left out"
-    flight = free_flight(film.track, film.used)
+    impacts_s = fit.impact_s + fit.fall_time_s * fit.impacts(float(film.drop.seconds[-1]))
+    start_s = float(track.stamps_ns[film.used][0]) * 1e-9 - float(film.drop.seconds[0])
+    gravity_px = 2 * span_px / fit.fall_time_s**2 * film.down_px  # an arc may include a hand's way
+    falling = replace(track, gravity_px=gravity_px)
+    flight = free_flight(falling, film.used, start_s + impacts_s)
     flights = np.inf if film.flights is None else film.flights
     return [
         FILM["flies freely"].measured(100 * flight.share, passed=not flight.is_carried),

@@ -754,8 +754,13 @@ class FreeFlight(NamedTuple):
     is_carried: bool  # whether the ball is carried by a hand, or rolls
 
 
-def free_flight(track: Track, chosen: NDArray[np.bool_] | None = None) -> FreeFlight:
-    """Compare accelerations in short windows of the `chosen` pictures, (T,), with the flight's."""
+def free_flight(
+    track: Track, chosen: NDArray[np.bool_] | None = None, impacts_s: Array | None = None
+) -> FreeFlight:
+    """Compare accelerations in short windows of the `chosen` pictures, (T,), with the flight's.
+
+    Windows over impacts at known stamps [s], shape (N,), tell nothing.
+    """
     known = np.flatnonzero(track.found if chosen is None else track.found & chosen)
     if len(known) < MIN_SAMPLES:
         return FreeFlight(0.0, 0, is_carried=False)
@@ -773,6 +778,10 @@ def free_flight(track: Track, chosen: NDArray[np.bool_] | None = None) -> FreeFl
         part = slice(middle - half, middle + half + 1)
         clock, way = seconds[part] - seconds[middle], places[part]
         gapped = float(np.ptp(clock)) > 3 * half * period_s
+        if impacts_s is not None and np.any(
+            np.diff(impacts_s.searchsorted(seconds[part][[0, -1]]))
+        ):
+            continue
         if gapped or np.linalg.norm(np.ptp(way, axis=0)) < least:
             continue
         bend = 2 * np.polyfit(clock, way, 2)[0] - track.gravity_px

@@ -9,7 +9,7 @@ is followed to both ends of the recording.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tunenet_logs.analysis.tracking.candidates import Candidates, ColorAndSize
 from tunenet_logs.episode import Array, median_step
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.timing.arrivals import conversions
 
 Index = NDArray[np.intp]
 MIN_BEND_PX = 0.25  # of a triple: noise bends less
@@ -117,16 +118,42 @@ class Arc:
     gravity_px: Array  # acceleration [px/s²], shape (2,)
 
 
-def longest_arc(table: Candidates, least_frames: int = MIN_FRAMES) -> Arc | None:
-    """Find the free flight that goes farthest; down the picture unless another is far better.
+_FARTHER = 1.3  # score of a flight on a converter's clock over that by the stamps
+
+
+def longest_flight(
+    table: Candidates, stamps_ns: NDArray[np.int64], least_frames: int = MIN_FRAMES
+) -> tuple[Candidates, Arc] | None:
+    """Find the free flight that goes farthest, on the clock that makes it go farthest.
+
+    A converter that leaves out one of up to six pictures stamps the others evenly, (T,), and no
+    fall is a parabola any more. Returns the candidates on that clock, and the flight.
+    """
+    clocks = [
+        (how.placed_ns(stamps_ns) - stamps_ns[0]) * 1e-9
+        for how in conversions(stamps_ns)
+        if how.leaves_out >= 1 / 6
+    ]
+    best, arc, score = table, *_longest_arc(table, least_frames)
+    score *= _FARTHER
+    for seconds in clocks:
+        other = replace(table, seconds=seconds)
+        there, farther = _longest_arc(other, least_frames)
+        if farther > score:
+            best, arc, score = other, there, farther
+    return None if arc is None else (best, arc)
+
+
+def _longest_arc(table: Candidates, least_frames: int) -> tuple[Arc | None, float]:
+    """Find the best free flight by one clock, and its score; down the picture unless another is.
 
     A video without its rotation flag falls sideways. And a bounce, seen upside down, looks a little
     like a flight.
     """
-    if not table.areas_px.size:
-        return None
-    seeds, bends = accelerated_triples(table)
     best, best_score = None, 0.0
+    if not table.areas_px.size:
+        return best, best_score
+    seeds, bends = accelerated_triples(table)
     # Where down may be, and how much that is favoured: films are seldom turned.
     for down, factor in (((0, 1), 2.0), ((0, -1), 1.0), ((1, 0), 1.0), ((-1, 0), 1.0)):
         down_px = np.array(down, np.float64)
@@ -147,7 +174,7 @@ def longest_arc(table: Candidates, least_frames: int = MIN_FRAMES) -> Arc | None
                 score = factor * _score(table, arc)
                 if score > best_score:
                     best, best_score = arc, score
-    return best
+    return best, best_score
 
 
 def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:

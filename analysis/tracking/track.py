@@ -34,7 +34,7 @@ from tunenet_logs.analysis.tracking.flights import (
     color_and_size,
     flight_and_rest,
     follow,
-    longest_arc,
+    longest_flight,
     same_arc,
 )
 from tunenet_logs.analysis.tracking.frames import Pictures
@@ -293,7 +293,7 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
         shown = told(pictures, "finding the ball's colour", len(stamps_ns))
         blobs = [hsv_blobs(picture, low, high, allowed) for picture in shown]
         table = Candidates.of(seconds, blobs)
-        return _track(pictures, table, _arc_of(table))
+        return _track(pictures, *_flight_of(table, stamps_ns))
 
     def moving(background: Background) -> Candidates:
         shown = told(pictures, "finding what moves", len(stamps_ns))
@@ -309,11 +309,12 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
             "(--start, --end)"
         )
     first = look = moving(still_background(pictures.samples))
-    arc = longest_arc(first)
+    flown = longest_flight(first, stamps_ns)
     try:
-        if arc is None:  # once more, against two backgrounds: fewer pictures of a flight show it
+        if flown is None:  # once more, against two backgrounds: fewer pictures of a flight show it
             look = moving(halved_background(pictures.samples))
-            arc = _arc_of(look.inside(), 5)
+            flown = _flight_of(look.inside(), stamps_ns, 5)
+        look, arc = replace(look, seconds=flown[0].seconds), flown[1]
         second, before_px, unchanged = _redetect(pictures, look, arc, allowed)
         fresh = new_frames(second, unchanged)
         table = second.some(fresh)
@@ -367,15 +368,17 @@ def new_frames(table: Candidates, unchanged: NDArray[np.bool_]) -> NDArray[np.in
     return new_pictures(places, unchanged)
 
 
-def _arc_of(table: Candidates, least_frames: int = MIN_FRAMES) -> Arc:
-    arc = longest_arc(table, least_frames)
-    if arc is None:
+def _flight_of(
+    table: Candidates, stamps_ns: NDArray[np.int64], least_frames: int = MIN_FRAMES
+) -> tuple[Candidates, Arc]:
+    flown = longest_flight(table, stamps_ns, least_frames)
+    if flown is None:
         raise NotFoundError(
             "no ball is seen to fly: nothing moves along a parabola, as a drop does from the side",
             f"{_MARK} (--preview: with a click), or at the next drop: film it from the side, with "
             "light and a plain background (tunenet docs camera)",
         )
-    return arc
+    return flown
 
 
 def _track(

@@ -553,6 +553,11 @@ class Conversion:
         )
 
     @property
+    def leaves_out(self) -> float:
+        """Fraction of the source's pictures that it leaves out, 0 where it doubles some."""
+        return max(0.0, 1 - self.shown_hz / self.source_hz)
+
+    @property
     def words(self) -> str:
         """Describe it: "from 30 to 24 pictures a second (1 of 5 is missing)"."""
         source, shown = (Fraction(hz).limit_denominator(2) for hz in self.rates_hz)
