@@ -39,7 +39,7 @@ class BounceFit:
     """Bounce fitted to samples."""
 
     samples: BounceSamples  # what was fitted
-    unknowns: Array  # shape (19,), see `bounce_model`
+    unknowns: Array  # shape (20,), see `bounce_model`
     free: tuple[int, ...]  # which of them were fitted
     residuals: Array  # in the positions' unit, shape (T,)
     scale: float  # robust standard deviation of them, not below the samples' noise
@@ -102,6 +102,7 @@ class BounceFit:
             moves=tuple(zip(samples.moves_s, samples.rates(self.unknowns).tolist(), strict=True)),
             lift=samples.lift(self.unknowns),
             leans=(samples.seconds, samples.lean(self.unknowns)),
+            lens=samples.lens(self.unknowns),
         )
 
 
@@ -115,7 +116,7 @@ def fit_bounce(
 ) -> BounceFit:
     """Fit the posterior mode: Student's t by reweighting (Lange et al. 1989), Levenberg-Marquardt.
 
-    It starts at all unknowns, shape (19,), fits the `free` ones, and ends after `most` iterations
+    It starts at all unknowns, shape (20,), fits the `free` ones, and ends after `most` iterations
     or below a `gain` in cost a sample; without a `scale` [positions' unit] that is estimated, too.
     """
     low, high = LOW.copy(), HIGH.copy()

@@ -106,6 +106,42 @@ class Prior:
         return (self.freedom + 1) / (self.freedom + square) / self.sd**2
 
 
+# ---- Lens: radial distortion of the first order along the image's vertical (Brown 1971)
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Lens that moves what is half a picture off its centre by a fraction of that."""
+
+    distortion: float = 0.0
+    center: float = 0.0  # of the picture, along the vertical
+    reach: float = 1.0  # half the picture's longer side
+
+    def _off(self, positions: Array) -> Array:
+        return (positions - self.center) / self.reach
+
+    def moves(self, positions: Array) -> Array:
+        """Return by how much a distortion of 1 moves what a pinhole sees, shape (T,)."""
+        return self._off(positions) ** 3 * self.reach
+
+    def stretch(self, positions: Array) -> Array:
+        """Return by how much it magnifies there, shape (T,)."""
+        return 1 + 3 * self.distortion * self._off(positions) ** 2
+
+    def seen(self, positions: Array) -> Array:
+        """Return where it shows what a pinhole sees at these positions, shape (T,)."""
+        return positions + self.distortion * self.moves(positions) if self.distortion else positions
+
+    def straight(self, seen: Array) -> Array:
+        """Return where a pinhole sees what it shows, shape (T,), by Newton's method."""
+        if not self.distortion:
+            return seen
+        positions = seen
+        for _ in range(4):  # a distortion is a small part of a picture
+            positions = positions - (self.seen(positions) - seen) / self.stretch(positions)
+        return positions
+
+
 # ---- Uncalibrated camera: a projective map of the vertical (Hartley and Zisserman 2004)
 # Three points fix the map of a line, and it keeps the cross-ratio of four.
 
@@ -130,6 +166,7 @@ class Projection:
     lift: float = 0.0  # C, see the module
     # By how much the camera's roll lowers it along the vertical at these times.
     leans: tuple[Array, Array] = (np.zeros(1), np.zeros(1))
+    lens: Lens = Lens()
 
     def farther(self, seconds: Array) -> Array:
         """Return the change of distance d at these times, shape (T,)."""
@@ -137,7 +174,8 @@ class Projection:
 
     def heights(self, positions: Array, seconds: Array) -> Array:
         """Convert positions along the vertical at these times to [drop heights], shape (T,)."""
-        seen, grow = positions + np.interp(seconds, *self.leans) - self.contact, self._grow
+        positions, grow = self.lens.straight(positions), self._grow
+        seen = positions + np.interp(seconds, *self.leans) - self.contact
         farther = self.farther(seconds)
         rises = self.span * grow - (grow - 1) * seen
         return (seen * (1 + farther) - self.lift * farther) / np.maximum(
@@ -149,10 +187,10 @@ class Projection:
         farther, grow = self.farther(seconds), self._grow
         depth = np.maximum(1 + (grow - 1) * heights + farther, _NEAREST)
         seen = self.contact + (self.span * grow * heights + self.lift * farther) / depth
-        return seen - np.interp(seconds, *self.leans)
+        return self.lens.seen(seen - np.interp(seconds, *self.leans))
 
     def straightened(self, positions: Array, seconds: Array) -> Array:
-        """Return where the ball would be seen if it went neither sideways nor away, shape (T,)."""
+        """Return where a pinhole would see it if it went neither sideways nor away, shape (T,)."""
         heights = self.heights(positions, seconds)
         return self.contact + self.span * projected(heights, self.perspective)
 
@@ -217,6 +255,7 @@ RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE, SLOPE, DRAG = range(8)
 OFFSET, TOUCH = 15, 16
 # Of a ball that goes sideways: the log of the camera's focal length over the usual, its roll [rad].
 FOCAL, ROLL = 17, 18
+LENS = 19  # by how much a lens moves what is half a picture off its centre, as a fraction of that
 # What is fitted first, roughly, of a film: a ball that keeps its restitution, without air.
 IDEAL = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE)
 SLOPE_SD = 0.1  # of the slope p, normal about 0, while fitting: real balls show .03 to .22
@@ -231,14 +270,15 @@ MOVE_SD, MOVE_FREEDOM = 0.04, 2.0  # Student's t: few balls are kicked hard
 # Of a focal length over the picture's longer side: lenses of 50 to 75 degrees, and zooms.
 USUAL_FOCAL, FOCAL_SD = 0.85, 0.35
 ROLL_SD = 0.02  # of the vertical that a tracker finds [rad]
+LENS_SD = 0.01  # normal about 0: phones correct theirs, webcams and action cameras do not
 _KNOWN = 8  # unknowns that have a name
 # Degrees of freedom of Student's t: nearly normal; 10 standard deviations off, a tenth counts.
 FREEDOM = 8.0
 MAX_MOVES = 7  # of which the first is when it is let go
 # Bounds of the unknowns: wider than any real ball or camera.
 _ANY = [-np.inf] * (MAX_MOVES + 1)
-LOW = np.array([0.005, *[-np.inf] * 3, 0.0, -2.5, -0.3, 0.0, *_ANY, 0.0, -0.8, -0.2])
-HIGH = np.array([1.0, *[np.inf] * 4, 2.5, 0.5, 2.0, *np.negative(_ANY), 0.02, 0.8, 0.2])
+LOW = np.array([0.005, *[-np.inf] * 3, 0.0, -2.5, -0.3, 0.0, *_ANY, 0.0, -0.8, -0.2, -0.2])
+HIGH = np.array([1.0, *[np.inf] * 4, 2.5, 0.5, 2.0, *np.negative(_ANY), 0.02, 0.8, 0.2, 0.2])
 _SHORT = 1e-5  # of an unknown of the ball, or of time [fall times], by which it is differentiated
 
 
@@ -274,6 +314,7 @@ class BounceSamples:
     radii: Array | None = None  # of the ball, NaN where not known, shape (T,)
     center: float = 0.0  # where the picture's centre is along the vertical
     usual_focal: float = 1.0  # a usual focal length, in the positions' unit
+    through_lens: bool = False  # whether the lens's distortion is an unknown
     is_soft: bool = False  # whether contacts last long enough to be seen
     heard: AudioImpacts | None = None  # impacts that were heard, too; None where none were
 
@@ -284,6 +325,7 @@ class BounceSamples:
         seen = ball if self.in_metres else (*IDEAL, SLOPE, DRAG)
         if self.moves_s:
             seen = (*seen, *self.moving, FOCAL, ROLL)
+        seen = (*seen, LENS) if self.through_lens else seen
         heard = () if self.heard is None else (OFFSET,)
         return (*seen, *heard, *((TOUCH,) if self.lasts else ()))
 
@@ -339,7 +381,7 @@ class BounceSamples:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.sized[1])), dtype=np.float64)
 
     def bounce(self, unknowns: Array) -> Bounce:
-        """Build the ball of these unknowns, shape (19,)."""
+        """Build the ball of these unknowns, shape (20,)."""
         ball = Bounce(*unknowns[[RESTITUTION, SLOPE, DRAG]].tolist())
         fall_s = float(np.exp(unknowns[FALL]))
         return replace(
@@ -350,12 +392,17 @@ class BounceSamples:
         )
 
     def residuals(self, unknowns: Array, ball: Bounce | None = None) -> Array:
-        """Return predicted less seen positions, (T,), of unknowns (19,) or of another `ball`."""
+        """Return predicted less seen positions, (T,), of unknowns (20,) or of another `ball`."""
         heights = (ball or self.bounce(unknowns)).heights(self.times(unknowns))
-        return self._predicted(unknowns, heights) - self.positions
+        seen = self._predicted(unknowns, heights)
+        return self.lens(unknowns).seen(seen) - self.positions
+
+    def lens(self, unknowns: Array) -> Lens:
+        """Return the lens of these unknowns, shape (20,)."""
+        return Lens(float(unknowns[LENS]), self.center, self.usual_focal / (2 * USUAL_FOCAL))
 
     def _predicted(self, unknowns: Array, heights: Array) -> Array:
-        """Return where the ball is along the vertical at these heights, (T,)."""
+        """Return where a pinhole sees the ball along the vertical at these heights, (T,)."""
         if not self.moves_s:
             shape = projected(heights, float(unknowns[PERSPECTIVE]))
             return unknowns[CONTACT] + unknowns[SPAN] * shape
@@ -426,6 +473,11 @@ class BounceSamples:
             own = [index for index in (*self.moving, TOUCH) if index in columns]
             for index in own:
                 columns[FALL] = columns[FALL] - unknowns[index] * columns[index]
+        if LENS in free:
+            lens = self.lens(unknowns)
+            seen = self._predicted(unknowns, heights)
+            columns = {index: lens.stretch(seen) * column for index, column in columns.items()}
+            columns[LENS] = lens.moves(seen)
         if OFFSET in free:
             columns[OFFSET] = np.zeros(len(times))
         return np.column_stack([columns[index] for index in free])
@@ -469,6 +521,8 @@ class BounceSamples:
                 for index, rate in zip(self.moving, moves, strict=True)
             ]
             found += [about(FOCAL, 0.0, FOCAL_SD), about(ROLL, 0.0, ROLL_SD)]
+        if self.through_lens:
+            found.append(about(LENS, 0.0, LENS_SD))
         if self.sized is not None:
             off = self.off_by_size(unknowns)
             for row, one in zip(self._whitening.tolist(), off.tolist(), strict=True):

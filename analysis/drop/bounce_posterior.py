@@ -608,9 +608,8 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
     scale = fit.scale * np.sqrt(correlation_time(fit.residuals, len(fit.free)))
     camera = fit.unknowns[[IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE]]
     seconds, view = fit.samples.seconds, fit.projection()
-    seen = (
-        view.straightened(fit.samples.positions, seconds) if view.moves else fit.samples.positions
-    )
+    seen = fit.samples.positions
+    seen = view.straightened(seen, seconds) if view.moves or view.lens.distortion else seen
     values = np.concatenate([camera, first])
     # By which the unknowns are differentiated.
     steps = np.concatenate([np.array([1e-6, 1e-6, 1e-4, 1e-4, 1e-5]), np.full(len(first), 1e-6)])

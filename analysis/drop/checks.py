@@ -570,7 +570,7 @@ def film_checks(film: FilmedDrop) -> list[Check]:
     repeated = float(np.mean(same[moving])) if np.count_nonzero(moving) > 3 else 0.0
     across = track.places_px[film.used] @ np.array([film.down_px[1], -film.down_px[0]])
     across_px = max(noise_of(across, film.drop.seconds), 0.45 if whole else 0.1)  # when rounded
-    gains, moments_s = clock_test(film.posterior.fit)
+    gains, moments_s = clock_test(film.searched)
     gain, moment_s = float(gains.max()), float(moments_s[gains.argmax()])
     uneven_s = film.uneven_s
     left_out = "" if uneven_s is None else f"; what comes after {uneven_s:.2f} s is left out"

@@ -74,7 +74,7 @@ def grid_starts(seconds: Array, along: Array, impact_s: float, count: int) -> li
     """Find the best points of a grid over ideal ball, fall time and perspective, best first.
 
     `seconds` and `along` (up positive), (T,), hold the fall and the bounces; each start has shape
-    (19,), contact and span in closed form, and no two are neighbours on the grid.
+    (20,), contact and span in closed form, and no two are neighbours on the grid.
     """
     seen_s = impact_s - float(seconds[0])
     near = seconds < impact_s + 5.0 * seen_s
@@ -914,6 +914,7 @@ class FilmedDrop:
 
     track: Track  # the ball in every picture
     down_px: Array  # unit vector of the image's vertical, shape (2,)
+    searched: BounceFit  # the fit by which it was found, its lens without an unknown
     posterior: BallPosterior  # of the ball, with its fit
     projection: Projection  # where its heights are in the picture, by that fit; on the log's time
     # When what the ball does after its first impact ends: lifted, or long not found.
@@ -1010,10 +1011,10 @@ def _find_drop(
             other = _trusted_fit(blurred, _find_fit(blurred))
             if misfit(other[0].fit) < 0.8 * misfit(found.fit):
                 found, impacts, uneven_s = other
-    posterior = ball_posterior(_likeliest_beside(found.fit))
+    posterior = ball_posterior(_likeliest_beside(_through_lens(found.fit)))
     fit = posterior.fit
     projection = fit.projection()
-    free_s = flies_from_s(whole, fit)
+    free_s = flies_from_s(whole, found.fit)
     end_s = float(seconds[bounces_end(seconds, along, impacts) - 1])
     before_s = projection.impact_s - projection.fall_time_s / 4
     before = whole.part(0, int(np.searchsorted(seconds, before_s)))
@@ -1026,6 +1027,7 @@ def _find_drop(
     return FilmedDrop(
         track=track,
         down_px=down,
+        searched=found.fit,
         posterior=posterior,
         projection=projection,
         end_s=end_s if uneven_s is None else min(end_s, uneven_s),
@@ -1163,6 +1165,36 @@ def _find_fit(whole: BounceSamples) -> tuple[FilmFit, list[int]]:
     if not plausible:
         raise _NoDropError(impacts, fitted)
     return min(plausible, key=lambda one: misfit(one[0].fit))
+
+
+# Speed from which on a ball moves [spans a fall time]: where it lies, its places agree too well.
+_MOVES = 0.1
+_SHADED = 1.25  # by which light and blur, which change along the way, widen a track's own noise
+
+
+def _through_lens(fit: BounceFit) -> BounceFit:
+    """Refit with the lens's distortion as an unknown: what is left is the track's own noise.
+
+    That is of the pictures in which the ball moves, and of as many as its unknowns leave free.
+    """
+    samples = fit.samples
+    noise_px = samples.noise * float(np.sqrt(1 - samples.distortion_variance_fraction))
+    speeds = np.gradient(samples.positions + fit.residuals, samples.times(fit.unknowns))
+    moves = np.abs(speeds) > _MOVES * float(fit.unknowns[SPAN])
+    count = int(np.count_nonzero(moves))
+    if count < MIN_SAMPLES:
+        return fit
+    for _ in range(2):
+        left = max(count - len(fit.free), 0.25 * count)
+        own_px = scale_of(fit.residuals[moves], noise_px) * float(np.sqrt(count / left))
+        sharp = replace(
+            samples,
+            noise=min(_SHADED * own_px, samples.noise),
+            distortion_variance_fraction=0.0,
+            through_lens=True,
+        )
+        fit = fit_bounce(sharp, fit.unknowns, sharp.unknowns, most=60, gain=1e-8)
+    return fit
 
 
 def _first_known_s(fit: BounceFit) -> float:
