@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import takewhile
+
 import numpy as np
 
 from tunenet_logs.episode import Array
@@ -20,13 +22,13 @@ def correlation_time(residuals: Array, unknowns: int) -> float:
     count, power = len(residuals), float(residuals @ residuals)
     if not power:
         return 1.0
-    lags = [float(residuals[lag:] @ residuals[:-lag]) / power for lag in range(1, count // 4)]
+    values = (float(residuals[lag:] @ residuals[:-lag]) / power for lag in range(1, count // 4))
     chance = 2 / np.sqrt(count)
-    if not lags or lags[0] < chance:
+    lasting = list(takewhile(lambda value: value >= chance, values))
+    if not lasting:
         return 1.0
-    lasting = next((lag for lag, value in enumerate(lags) if value < chance), len(lags))
-    first = min(lags[0] + unknowns * (1 + lags[0]) / count, 0.98)
-    return max(1 + 2 * sum(lags[:lasting]), (1 + first) / (1 - first) if lasting > 2 else 1.0)
+    first = min(lasting[0] + unknowns * (1 + lasting[0]) / count, 0.98)
+    return max(1 + 2 * sum(lasting), (1 + first) / (1 - first) if len(lasting) > 2 else 1.0)
 
 
 def noise_of(heights: Array, seconds: Array | None = None) -> float:

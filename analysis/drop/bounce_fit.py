@@ -7,9 +7,9 @@ fitted flight by flight.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tunenet_logs.analysis.drop.bounce_model import (
     CONTACT,
@@ -44,13 +44,18 @@ class BounceFit:
     residuals: Array  # in the positions' unit, shape (T,)
     scale: float  # robust standard deviation of them, not below the samples' noise
 
+    @cached_property
+    def jacobian(self) -> Array:
+        """The residuals' Jacobian over the free unknowns, shape (T, U)."""
+        return self.samples.jacobian(self.unknowns, self.free)
+
     @property
     def effective_sample_factor(self) -> float:
         """Samples that count as one where a lens distorts the picture: that is no noise."""
         together = len(self.residuals) / 16  # its distortion is alike within a 16th of the drop
         return 1 + self.samples.distortion_variance_fraction * max(together - 1, 0.0)
 
-    @property
+    @cached_property
     def samples_as_one(self) -> float:
         """Samples that count as one, as their residuals hang together, or the lens distorts."""
         correlated = correlation_time(self.residuals, len(self.free))
@@ -78,15 +83,23 @@ class BounceFit:
 
     def normal_equations(self) -> tuple[Array, Array]:
         """Return the reweighted normal matrix with the priors, and minus the cost's gradient."""
-        jacobian = self.samples.jacobian(self.unknowns, self.free)
+        jacobian, priors = self.jacobian, self.samples.priors(self.unknowns)
         weights = (FREEDOM + 1) / (FREEDOM + (self.residuals / self.scale) ** 2) / self.scale**2
-        normal = jacobian.T @ (weights[:, None] * jacobian)
-        gradient = -jacobian.T @ (weights * self.residuals)
-        for prior in self.samples.priors(self.unknowns):
-            row = np.array([prior.slopes.get(index, 0.0) for index in self.free])
-            normal += prior.weight * np.outer(row, row)
-            gradient -= prior.weight * prior.off * row
-        return normal, gradient
+        weighted = weights[:, None] * jacobian
+        rows = np.array([[one.slopes.get(index, 0.0) for index in self.free] for one in priors])
+        sure = np.array([one.weight for one in priors])[:, None] * rows
+        normal = jacobian.T @ weighted + rows.T @ sure
+        return normal, -self.residuals @ weighted - np.array([one.off for one in priors]) @ sure
+
+    def with_others(self, held: dict[int, float]) -> Array:
+        """Predict all unknowns where some free ones are held elsewhere (conditional normal)."""
+        normal, _ = self.normal_equations()
+        own = np.array([index in held for index in self.free])
+        unknowns, free = self.unknowns.copy(), np.array(self.free)
+        unknowns[list(held)] = list(held.values())
+        pull = normal[np.ix_(~own, own)] @ (unknowns - self.unknowns)[free[own]]
+        unknowns[free[~own]] -= np.linalg.lstsq(normal[np.ix_(~own, ~own)], pull, rcond=None)[0]
+        return unknowns
 
     def projection(self) -> Projection:
         """Return the fitted camera and ball."""
@@ -130,7 +143,7 @@ def fit_bounce(
     fit = BounceFit(samples, unknowns, free, residuals, first)
     chosen = list(free)
 
-    def stepped(damping: float) -> tuple[BounceFit, float]:
+    def stepped(damping: float) -> tuple[BounceFit, float] | None:
         """Step by the damped equations: what would leave its bounds ends there, the rest follows.
 
         A step that is merely cut would leave a narrow valley.
@@ -138,13 +151,16 @@ def fit_bounce(
         matrix = normal + damping * np.diag(np.diag(normal) + 1e-12)  # solvable, if nothing is seen
         begin, unknowns = fit.unknowns[chosen], fit.unknowns.copy()
         lowest, highest = low[chosen] - begin, high[chosen] - begin
-        step = np.linalg.lstsq(matrix, gradient, rcond=None)[0]
+        step = np.linalg.solve(matrix, gradient)
         out = (step < lowest) | (step > highest)
         if out.any() and not out.all():
             step[out] = np.clip(step, lowest, highest)[out]
             rest = gradient[~out] - matrix[np.ix_(~out, out)] @ step[out]
-            step[~out] = np.linalg.lstsq(matrix[np.ix_(~out, ~out)], rest, rcond=None)[0]
-        unknowns[chosen] += np.clip(step, lowest, highest)
+            step[~out] = np.linalg.solve(matrix[np.ix_(~out, ~out)], rest)
+        step = np.clip(step, lowest, highest)
+        if step @ gradient < 0.01 * gain * len(samples.seconds):  # what it can gain, twice
+            return None
+        unknowns[chosen] += step
         tried = replace(fit, unknowns=unknowns, residuals=fit.samples.residuals(unknowns))
         return tried, tried.cost(fit.scale)
 
@@ -262,6 +278,9 @@ def noise_floor(drop: Drop) -> float:
     return max(drop.noise_m, 1e-5 * drop.drop_height_m)
 
 
+_FLIGHTS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 19, 22, 26, 30, 35, 40)  # in turn
+
+
 def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None:
     """Fit a bounce to a drop, flight by flight; None where too little is seen."""
     if not (drop.fall_time_s > 0 and drop.drop_height_m > 0):  # NaN is not
@@ -281,12 +300,12 @@ def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None
     # Fall times of a rest: more would only repeat the table's level.
     rest_seen = 4.0 if same_table else 0.0
     best: BounceFit | None = None
-    for flights in (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 19, 22, 26, 30, 35, 40):  # in turn
-        chosen = _window(whole, unknowns, flights, rest_seen)
-        count = int(np.count_nonzero(chosen))
-        if count < MIN_SAMPLES or (best is not None and count == len(best.residuals)):
+    parts = _parts(whole, unknowns, rest_seen)
+    for stage in range(len(_FLIGHTS)):
+        first, last = parts[stage]
+        if last - first < MIN_SAMPLES or (best is not None and last - first == len(best.residuals)):
             continue
-        samples = whole.only(chosen)
+        samples = whole.part(first, last)
         # Roughly: it only leads to the next.
         fit = best_of([fit_bounce(samples, one, whole.unknowns, 12, 1e-4) for one in starts])
         if best is not None:
@@ -297,7 +316,8 @@ def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None
             allowed = noise**2 * (1 + 4.0 * np.sqrt(2 / freedom))
             if not _spread(fit) ** 2 < allowed + (1e-4 * fit.unknowns[SPAN]) ** 2:
                 break
-        best, unknowns, starts = fit, fit.unknowns, [fit.unknowns]
+        best, starts = fit, [fit.unknowns]
+        parts = _parts(whole, fit.unknowns, rest_seen)
     if best is None:
         return None
     best = with_pre_release_samples(whole, best)
@@ -332,24 +352,23 @@ def fitted_drop(drop: Drop, fit: BounceFit) -> Drop:
     )
 
 
-def _window(
-    whole: BounceSamples, unknowns: Array, flights: int, rest_seen: float
-) -> NDArray[np.bool_]:
-    """Select the samples from most of the fall to the end of `flights` flights, and of a rest."""
+def _parts(whole: BounceSamples, unknowns: Array, rest_seen: float) -> list[tuple[int, int]]:
+    """Bound the samples from most of the fall to the end of each number of flights, and of a rest.
+
+    Returns the first index, and the one after the last.
+    """
     times = whole.times(unknowns)
     ball = whole.bounce(unknowns)
     starts, speeds = ball.flights(float(times[-1]))
     hops = float(unknowns[SPAN]) * speeds**2 / 4
     low = np.flatnonzero(hops < 2.0 * whole.noise)  # the ball seems to lie still
-    rest = len(starts) - 1 if not len(low) else int(low[0])
-    if flights < min(len(starts), rest):
-        end = starts[flights]
-    elif len(low):
-        end = starts[rest] + rest_seen
-    else:
-        end = np.inf
+    rest = int(low[0]) if len(low) else len(starts) - 1
+    end = starts[rest] + rest_seen if len(low) else np.inf
+    ends = [starts[flights] if flights < rest else end for flights in _FLIGHTS]
     # Earlier in the fall a hand may still touch the ball.
-    return (whole.starts_in_flight | (times > -0.95 * ball.fall_time)) & (times < end)
+    is_fall = whole.starts_in_flight | (times > -0.95 * ball.fall_time)
+    first = int(np.argmax(is_fall)) if is_fall.any() else len(times)
+    return [(first, int(last)) for last in np.maximum(np.searchsorted(times, ends), first)]
 
 
 def _spread(fit: BounceFit) -> float:

@@ -12,6 +12,7 @@ is unknown, and contacts last.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from tunenet_logs.analysis.drop.times.model import since_impacts_s
 from tunenet_logs.analysis.drop.times.readings import KNOWN_DRAG
 from tunenet_logs.episode import Array
-from tunenet_logs.recorders.simulators.ball import MIN_SPEED_M_S, Bounce
+from tunenet_logs.recorders.simulators.ball import MIN_SPEED_M_S, Bounce, flown_by
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 # By how much sound may be late, or early, beside the pictures: what phones and cameras do.
@@ -93,14 +94,14 @@ class Prior:
     def cost(self) -> float:
         """Negative log density, without constants."""
         square = (self.off / self.sd) ** 2
-        if np.isinf(self.freedom):
+        if math.isinf(self.freedom):
             return 0.5 * square
-        return 0.5 * (self.freedom + 1) * float(np.log1p(square / self.freedom))
+        return 0.5 * (self.freedom + 1) * math.log1p(square / self.freedom)
 
     @property
     def weight(self) -> float:
         """Weight of its squared residual, where t is fitted by reweighting."""
-        if np.isinf(self.freedom):
+        if math.isinf(self.freedom):
             return self.sd**-2
         square = (self.off / self.sd) ** 2
         return (self.freedom + 1) / (self.freedom + square) / self.sd**2
@@ -382,27 +383,32 @@ class BounceSamples:
 
     def bounce(self, unknowns: Array) -> Bounce:
         """Build the ball of these unknowns, shape (20,)."""
-        ball = Bounce(*unknowns[[RESTITUTION, SLOPE, DRAG]].tolist())
-        fall_s = float(np.exp(unknowns[FALL]))
-        return replace(
-            ball,
-            constant_below=MIN_SPEED_M_S / (ball.impact_speed * (GRAVITY_M_S2 * fall_s / 2)),
+        restitution, slope, drag = unknowns[[RESTITUTION, SLOPE, DRAG]].tolist()
+        first, fall_s = Bounce(restitution, drag=drag).impact_speed, math.exp(unknowns[FALL])
+        return Bounce(
+            restitution,
+            slope,
+            drag,
+            constant_below=MIN_SPEED_M_S / (first * (GRAVITY_M_S2 * fall_s / 2)),
             starts_in_flight=self.starts_in_flight,
             contact=float(unknowns[TOUCH]) / fall_s if self.lasts else 0.0,
         )
 
-    def residuals(self, unknowns: Array, ball: Bounce | None = None) -> Array:
-        """Return predicted less seen positions, (T,), of unknowns (20,) or of another `ball`."""
-        heights = (ball or self.bounce(unknowns)).heights(self.times(unknowns))
-        seen = self._predicted(unknowns, heights)
-        return self.lens(unknowns).seen(seen) - self.positions
+    def residuals(self, unknowns: Array) -> Array:
+        """Return predicted less seen positions, (T,), of unknowns (20,)."""
+        return self.seen_of([self.bounce(unknowns)], unknowns)[0] - self.positions
+
+    def seen_of(self, balls: Sequence[Bounce], unknowns: Array) -> Array:
+        """Return where balls are along the vertical, (K, T), all else as in the unknowns, (20,)."""
+        times = np.tile(self.times(unknowns), (len(balls), 1))
+        return self.lens(unknowns).seen(self._predicted(unknowns, flown_by(balls, times)[0]))
 
     def lens(self, unknowns: Array) -> Lens:
         """Return the lens of these unknowns, shape (20,)."""
         return Lens(float(unknowns[LENS]), self.center, self.usual_focal / (2 * USUAL_FOCAL))
 
     def _predicted(self, unknowns: Array, heights: Array) -> Array:
-        """Return where a pinhole sees the ball along the vertical at these heights, (T,)."""
+        """Return where a pinhole sees the ball along the vertical at these heights, (..., T)."""
         if not self.moves_s:
             shape = projected(heights, float(unknowns[PERSPECTIVE]))
             return unknowns[CONTACT] + unknowns[SPAN] * shape
@@ -442,9 +448,13 @@ class BounceSamples:
     def jacobian(self, unknowns: Array, free: tuple[int, ...]) -> Array:
         """Return the residuals' Jacobian over the free unknowns, shape (T, len(free))."""
         times = self.times(unknowns)
-        timed = IMPACT in free or FALL in free
-        at = np.concatenate([times, times + _SHORT]) if timed else times
-        heights, later = np.split(self.bounce(unknowns).heights(at), [len(times)])
+        nudges = {
+            index: nudged(unknowns, index, _SHORT)
+            for index in (RESTITUTION, SLOPE, DRAG, TOUCH)
+            if index in free
+        }
+        balls = [self.bounce(one) for one in (unknowns, *(moved for moved, _ in nudges.values()))]
+        (heights, *others), (speeds, *_) = flown_by(balls, np.tile(times, (len(balls), 1)))
         grow = float(np.exp(unknowns[PERSPECTIVE]))
         farther = self.farther(unknowns) if self.moves_s else np.zeros(len(times))
         depth = np.maximum(1 + (grow - 1) * heights + farther, _NEAREST)
@@ -462,16 +472,13 @@ class BounceSamples:
                 moved = unknowns.copy()
                 moved[index] += by
                 columns[index] = (self._predicted(moved, heights) - usual) / by
-        for index in {RESTITUTION, SLOPE, DRAG, TOUCH}.intersection(free):
-            moved, by = nudged(unknowns, index, _SHORT)
-            columns[index] = per_height * (self.bounce(moved).heights(times) - heights) / by
-        if timed:
-            speeds = (later - heights) / _SHORT
-            columns[IMPACT] = -per_height * speeds / np.exp(unknowns[FALL])
-            columns[FALL] = -per_height * speeds * times
-            # Rates and contacts are in fall times.
-            own = [index for index in (*self.moving, TOUCH) if index in columns]
-            for index in own:
+        for (index, (_, by)), moved in zip(nudges.items(), others, strict=True):
+            columns[index] = per_height * (moved - heights) / by
+        columns[IMPACT] = -per_height * speeds / np.exp(unknowns[FALL])
+        columns[FALL] = -per_height * speeds * times
+        # Rates and contacts are in fall times.
+        for index in (*self.moving, TOUCH):
+            if index in columns:
                 columns[FALL] = columns[FALL] - unknowns[index] * columns[index]
         if LENS in free:
             lens = self.lens(unknowns)

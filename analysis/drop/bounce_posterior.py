@@ -58,7 +58,7 @@ from tunenet_logs.analysis.statistics import (
     normalised,
 )
 from tunenet_logs.episode import Array, median_step
-from tunenet_logs.recorders.simulators.ball import Bounce
+from tunenet_logs.recorders.simulators.ball import Bounce, flown_by
 from tunenet_logs.recorders.simulators.base import CALIBRATED, GRAVITY_M_S2
 
 # ---- Contact duration of a heard ball, above 0: a truncated normal distribution
@@ -110,15 +110,14 @@ def moved_by_own(samples: BounceSamples, unknowns: Array) -> tuple[Array, Array]
     starts, speeds = ball.flights(max(last, heard_s / float(np.exp(unknowns[FALL]))))
     count = max(int(np.searchsorted(starts, last)), int(numbers[-1]))
     kept = (speeds / ball.arrivals(speeds)).tolist()
-    positions = samples.residuals(unknowns)
-    times_s = samples.touches_s(unknowns, numbers)
-    seen: list[Array] = []
-    heard: list[Array] = []
-    for impact in range(min(count, len(kept))):
-        own = replace(ball, each=(*kept[:impact], kept[impact] * (1 + _FASTER)))
-        seen.append((samples.residuals(unknowns, own) - positions) / _FASTER)
-        heard.append((samples.touches_s(unknowns, numbers, own) - times_s) / _FASTER)
-    return np.column_stack(seen), np.column_stack(heard)
+    balls = [
+        replace(ball, each=(*kept[:impact], kept[impact] * (1 + _FASTER)))
+        for impact in range(min(count, len(kept)))
+    ]
+    balls.append(ball)
+    seen = samples.seen_of(balls, unknowns)
+    heard = np.array([samples.touches_s(unknowns, numbers, one) for one in balls])
+    return (seen[:-1] - seen[-1]).T / _FASTER, (heard[:-1] - heard[-1]).T / _FASTER
 
 
 # ---- Laplace approximation of the likelihood in slope and drag
@@ -162,13 +161,13 @@ def _covariance(precision: Array) -> Array:
     return np.asarray(np.linalg.inv(precision + np.diag(np.array(WIDEST) ** -2)), dtype=np.float64)
 
 
-def ball_likelihoods(fit: BounceFit, factor: float) -> list[BallLikelihood]:
-    """Marginalise a fit's likelihood, `factor` samples as one; if impacts are heard, by scatter."""
+def ball_likelihoods(fit: BounceFit) -> list[BallLikelihood]:
+    """Marginalise a fit's likelihood; if impacts are heard, by scatter."""
     if fit.samples.heard is None:
-        linear = _Linear.of(fit, factor)
+        linear = _Linear.of(fit)
         return [_of_law(fit, *linear.equations(*linear.weights()))]
     law = replace(fit.samples, heard=replace(fit.samples.heard, scatter=0.0))
-    linear = _Linear.of(replace(fit, samples=law), factor)
+    linear = _Linear.of(replace(fit, samples=law))
     own = np.arange(len(fit.free), linear.jacobian.shape[1])
     # The least that is known of a fit's unknowns, as weights.
     least = {RESTITUTION: ANY_RESTITUTION_SD, SLOPE: WIDEST[0], DRAG: WIDEST[1]}
@@ -214,7 +213,7 @@ class _Linear:
     freedom: Array  # of each prior's t, shape (P,)
 
     @classmethod
-    def of(cls, fit: BounceFit, factor: float) -> _Linear:
+    def of(cls, fit: BounceFit) -> _Linear:
         """Linearise a fit, without the priors of slope and drag."""
         samples, free = fit.samples, fit.free
         priors = [
@@ -223,7 +222,7 @@ class _Linear:
             if one.measured or {SLOPE, DRAG}.isdisjoint(one.slopes)
         ]
         rows = np.array([[one.slopes.get(index, 0.0) / one.sd for index in free] for one in priors])
-        jacobian = samples.jacobian(fit.unknowns, free)
+        jacobian = fit.jacobian
         if samples.heard is not None:
             own, touches = moved_by_own(samples, fit.unknowns)
             beside = np.zeros((len(rows), own.shape[1]))
@@ -231,7 +230,7 @@ class _Linear:
             jacobian, rows = np.hstack([jacobian, own]), np.hstack([rows, beside])
         off = np.array([one.off / one.sd for one in priors])
         freedom = np.array([one.freedom for one in priors])
-        return cls(jacobian, fit.residuals, fit.scale, factor, rows, off, freedom)
+        return cls(jacobian, fit.residuals, fit.scale, fit.samples_as_one, rows, off, freedom)
 
     def weights(self, step: Array | None = None) -> tuple[Array, Array]:
         """Reweight samples and priors by how far they are off after a step, shape (U,)."""
@@ -330,51 +329,75 @@ class BallPosterior:
 
 def ball_posterior(fit: BounceFit) -> BallPosterior:
     """Compute a ball's posterior by Bayesian model averaging over slope, drag and scatter."""
-    height_m = GRAVITY_M_S2 * float(np.exp(2 * fit.unknowns[FALL])) / 2
-    factor = fit.samples_as_one
-    likelihoods = ball_likelihoods(fit, factor)
-    grids = [_weighed_grid(one, fit, height_m) for one in likelihoods]
-    shares, _ = normalised(np.array([log for _, log in grids]))
-    # Mix the likelihoods, each with its share: middles, standard deviations, weights.
-    axes: list[_Axis] = []
-    for parts in zip(*(of_one for of_one, _ in grids), strict=True):
-        middles, sds, weights = zip(*parts, strict=True)
-        shared = [share * one for share, one in zip(shares, weights, strict=True)]
-        axes.append((np.concatenate(middles), np.concatenate(sds), np.concatenate(shared)))
-    means = [float(weights @ middles) for middles, _, weights in axes]
+    axes, covariance = _averaged(fit)
+    values = _means(axes)
     ends = np.array([[mixture_quantile(at, *axis) for at in (0.025, 0.975)] for axis in axes])
     # Without these factors too few intervals of films cover.
     in_picture = 1.4 if fit.samples.moves_s else 1.25 if fit.samples.is_soft else 1.1
-    wider = _profile_factors(fit, factor) * (1 if fit.samples.in_metres else in_picture)
-    ends[0] = means[0] + (ends[0] - means[0]) * wider
+    wider = _profile_factors(fit) * (1 if fit.samples.in_metres else in_picture)
+    ends[0] = values[0] + (ends[0] - values[0]) * wider
     ends = np.clip(ends, [[0.0], [-np.inf], [0.0]], [[1.0], [np.inf], [np.inf]])
-    held = fit.unknowns.copy()
-    held[[RESTITUTION, SLOPE, DRAG]] = means[0], means[1], means[2] * height_m
-    rest = tuple(index for index in fit.free if index not in (SLOPE, DRAG))
-    final = replace(fit_bounce(fit.samples, held, rest), free=fit.free)
-    values = np.array([np.clip(means[0], 0.0, 1.0), means[1], means[2]])
+    final = _held_at(values, fit)
+    values[0] = np.clip(values[0], 0.0, 1.0)
     # The prior 95 % widths of slope and drag [1/m].
     drag_width = TYPICAL_DRAG_1_M * np.exp(TWO_SIDED * _LOG_DRAG_SD)
     if fit.samples.drag_1_m is not None:
         drag_width = 2 * TWO_SIDED * KNOWN_DRAG * fit.samples.drag_1_m
     told = 1 - np.ptp(ends[1:], axis=1) / np.array([TWO_SIDED * _SLOPE_SD, drag_width])
-    covariance = _covariance(likelihoods[int(shares.argmax())].precision)
     correlation = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
     return BallPosterior(values, ends, final, float(correlation), np.clip(told, 0.0, 1.0))
+
+
+def averaged_ball(fit: BounceFit) -> BounceFit:
+    """Fit all else to the posterior means of slope and drag, as a posterior's `fit`."""
+    return _held_at(_means(_averaged(fit)[0]), fit)
 
 
 # A mixture of normal distributions: their middles, standard deviations and weights, shape (M,).
 _Axis = tuple[Array, Array, Array]
 
 
-def _weighed_grid(
-    likelihood: BallLikelihood, fit: BounceFit, height_m: float
-) -> tuple[list[_Axis], float]:
+def _averaged(fit: BounceFit) -> tuple[list[_Axis], Array]:
+    """Mix the likelihoods of a fit: restitution, slope and drag [1/m].
+
+    Returns the covariance of slope and drag by the likeliest of them, (2, 2), too.
+    """
+    likelihoods = ball_likelihoods(fit)
+    grids = [_weighed_grid(one, fit) for one in likelihoods]
+    shares, _ = normalised(np.array([log for _, log in grids]))
+    axes: list[_Axis] = []
+    for parts in zip(*(of_one for of_one, _ in grids), strict=True):
+        middles, sds, weights = zip(*parts, strict=True)
+        shared = [share * one for share, one in zip(shares, weights, strict=True)]
+        axes.append((np.concatenate(middles), np.concatenate(sds), np.concatenate(shared)))
+    return axes, _covariance(likelihoods[int(shares.argmax())].precision)
+
+
+def _means(axes: list[_Axis]) -> Array:
+    return np.array([weights @ middles for middles, _, weights in axes])
+
+
+def _held_at(values: Array, fit: BounceFit) -> BounceFit:
+    """Refit with slope and drag [1/m] held at some values, near their restitution."""
+    restitution, slope, drag = values.tolist()
+    start = fit.with_others({SLOPE: slope, DRAG: drag * _height_m(fit)})
+    start[RESTITUTION] = restitution
+    rest = tuple(index for index in fit.free if index not in (SLOPE, DRAG))
+    return replace(fit_bounce(fit.samples, start, rest), free=fit.free)
+
+
+def _height_m(fit: BounceFit) -> float:
+    """Return the height of the fall by its duration [m]."""
+    return GRAVITY_M_S2 * float(np.exp(2 * fit.unknowns[FALL])) / 2
+
+
+def _weighed_grid(likelihood: BallLikelihood, fit: BounceFit) -> tuple[list[_Axis], float]:
     """Weigh balls on a grid around a likelihood's mode, with those of no slope and of no drag.
 
     Returns the axes of restitution, slope and drag [1/m], and the log of the mean likelihood.
     """
     middle, sds = likelihood.middle, np.sqrt(np.diag(_covariance(likelihood.precision)))
+    height_m = _height_m(fit)
     slopes, slope_step = _nodes(float(middle[0]), float(sds[0]), -0.05, 0.45)
     drags, drag_step = _nodes(float(middle[1]) / height_m, float(sds[1]) / height_m, 0.0, 1.0)
     is_heard = fit.samples.heard is not None
@@ -429,7 +452,7 @@ def _nodes(middle: float, sd: float, low: float, high: float) -> tuple[Array, fl
     return (edges[1:] + edges[:-1]) / 2, float(edges[1] - edges[0])
 
 
-def _profile_factors(fit: BounceFit, factor: float) -> Array:
+def _profile_factors(fit: BounceFit) -> Array:
     """Return the profile likelihood's half widths over the normal ones, shape (2,).
 
     All else is fitted anew where the normal likelihood ends. Impacts that are heard, too, keep the
@@ -440,17 +463,17 @@ def _profile_factors(fit: BounceFit, factor: float) -> Array:
     least = _least_sd(fit)
     normal, _ = fit.normal_equations()
     normal[0, 0] += ANY_RESTITUTION_SD**-2
-    variance = float(np.linalg.pinv(normal)[0, 0]) * factor
+    variance = float(np.linalg.pinv(normal)[0, 0]) * fit.samples_as_one
     sd = max(float(np.sqrt(max(variance, 0.0))), least)
     # Farther off than this factor it found another minimum, or none yet.
     if sd < 0.03 or fit.unknowns[RESTITUTION] > 0.3:
-        return np.array([np.clip(_profiled(fit, factor, side, sd), 0.8, 2.5) for side in (-1, 1)])
+        return np.array([np.clip(_profiled(fit, side, sd), 0.8, 2.5) for side in (-1, 1)])
     # Near 0 a rebound grows with its square, which no normal likelihood describes: search the ends.
     factors: list[float] = []
     for side in (-1, 1):
         reach = 1.0
         for _ in range(4):
-            found = _profiled(fit, factor, side, reach * sd)
+            found = _profiled(fit, side, reach * sd)
             reach = max(reach * float(np.clip(found, 0.25, 4.0)), least / sd)
             if abs(found - 1) < 0.1:  # near enough
                 break
@@ -458,19 +481,18 @@ def _profile_factors(fit: BounceFit, factor: float) -> Array:
     return np.array(factors)
 
 
-def _profiled(fit: BounceFit, factor: float, side: int, sd: float) -> float:
+def _profiled(fit: BounceFit, side: int, sd: float) -> float:
     """Return the profile likelihood's end to a side over 1.96 of `sd`; 1 at a bound."""
     value = float(fit.unknowns[RESTITUTION])
     at = float(np.clip(value + side * TWO_SIDED * sd, 0.0, 1.0))
     reached = abs(at - value)
     if reached < 0.5 * TWO_SIDED * sd:
         return 1.0
-    start = fit.unknowns.copy()
-    start[RESTITUTION] = at
+    start = fit.with_others({RESTITUTION: at})
     others = tuple(index for index in fit.free if index != RESTITUTION)
     most = 30 if fit.samples.moves_s else 10
     held = fit_bounce(fit.samples, start, others, most=most, gain=1e-5, scale=fit.scale)
-    held = replace(held, free=fit.free)
+    held, factor = replace(held, free=fit.free), fit.samples_as_one
     best = fit.misfit_cost(fit.scale) / factor + fit.prior_cost()
     rise = held.misfit_cost(fit.scale) / factor + held.prior_cost() - best
     fraction = float(np.sqrt(max(rise, 0.0) / _RISE)) * TWO_SIDED * sd / reached
@@ -611,8 +633,6 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
     seen = fit.samples.positions
     seen = view.straightened(seen, seconds) if view.moves or view.lens.distortion else seen
     values = np.concatenate([camera, first])
-    # By which the unknowns are differentiated.
-    steps = np.concatenate([np.array([1e-6, 1e-6, 1e-4, 1e-4, 1e-5]), np.full(len(first), 1e-6)])
     free = [0.0, 0.0, 0.0, 0.0, PERSPECTIVE_SD**-2]
     if fit.samples.in_metres:  # this camera is known, and as far as metres are metres its scale
         metre_sd = METRE_SD if fit.samples.scale_known else ANY_SCALE_SD
@@ -622,21 +642,27 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
     target = np.concatenate([[0.0, 0.0, 0.0, camera[3], 0.0], first])
     covariance = np.eye(len(values))
     for _ in range(6):  # it begins nearly at the end, at the fit
-        moves = np.diag(steps)
-        trials: list[Array] = []
-        known: dict[tuple[float, ...], Array] = {}  # the camera's own unknowns move no ball
-        for trial in (values, *(values + moves), *(values - moves)):
-            impact_s, log_fall, contact, span, perspective = trial[:5]
-            moves_as = (impact_s, log_fall, *trial[5:].tolist())
-            if moves_as not in known:
-                ball = replace(law, each=moves_as[2:], constant_below=0.0)
-                known[moves_as] = ball.heights((seconds - impact_s) / np.exp(log_fall))
-            positions = contact + span * projected(known[moves_as], float(perspective))
-            trials.append(positions - seen)
-        residuals, above, below = np.split(np.column_stack(trials), [1, 1 + len(steps)], axis=1)
-        jacobian = (above - below) / (2 * steps)
+        (impact_s, log_fall, contact, span, perspective), each = values[:5].tolist(), values[5:]
+        fall_s, grow = np.exp(log_fall), np.exp(perspective)
+        times = (seconds - impact_s) / fall_s
+        # The ball, and one for each impact that it leaves a little faster.
+        trials = np.vstack([each, each + _FASTER * np.eye(len(each))]).tolist()
+        balls = [replace(law, each=tuple(trial), constant_below=0.0) for trial in trials]
+        (heights, *faster), (speeds, *_) = flown_by(balls, np.tile(times, (len(balls), 1)))
+        depth = 1 + (grow - 1) * heights
+        per_height = span * grow / depth**2
+        columns = [
+            -per_height * speeds / fall_s,
+            -per_height * speeds * times,
+            np.ones(len(times)),
+            grow * heights / depth,
+            per_height * heights * (1 - heights),
+            *(per_height * (moved - heights) / _FASTER for moved in faster),
+        ]
+        jacobian = np.column_stack(columns)
+        residuals = contact + span * projected(heights, perspective) - seen
         normal = jacobian.T @ (weights[:, None] * jacobian) / scale**2 + np.diag(prior)
-        gradient = -jacobian.T @ (weights * residuals[:, 0]) / scale**2 - prior * (values - target)
+        gradient = -jacobian.T @ (weights * residuals) / scale**2 - prior * (values - target)
         covariance = np.linalg.pinv(normal)
         step = covariance @ gradient
         values = values + step

@@ -19,7 +19,7 @@ from tunenet_logs.analysis.drop.bounce_fit import MIN_SAMPLES, BounceFit, fit_bo
 from tunenet_logs.analysis.drop.bounce_model import BounceSamples, Projection, ideal_heights
 from tunenet_logs.analysis.drop.bounce_posterior import (
     SLOPE_AND_DRAG,
-    ball_posterior,
+    averaged_ball,
     unidentifiable,
 )
 from tunenet_logs.analysis.drop.detection import AnyDetection
@@ -191,6 +191,7 @@ class _FittedView(NamedTuple):
         return inside
 
 
+@lru_cache(maxsize=2)
 def _fitted_view(detection: AnyDetection) -> _FittedView | None:
     """Return what a detection's ball was fitted to; None where the preset fits none."""
     posterior = detection.posterior if detection.physical else None
@@ -277,7 +278,7 @@ def held_out_percent(detection: AnyDetection) -> float | None:
     fit = detection.begun(until_s)
     if fit is None or np.count_nonzero(rest) < 6:
         return None
-    begun = ball_posterior(fit).fit
+    begun = averaged_ball(fit)
     later = samples.only(rest)
     # Sideways it may go anew after each impact: that is the camera's matter, and no prediction.
     own = seen.fit.samples

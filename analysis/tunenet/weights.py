@@ -14,6 +14,7 @@ import re
 import struct
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -196,6 +197,7 @@ def weights_place(path: Path) -> OutputPlace:
     return OutputPlace(path, "file of weights", knows)
 
 
+@lru_cache(maxsize=8)
 def shipped_model(purpose: Purpose) -> Model:
     """Load the weights that come with the package."""
     name = f"{purpose.task}-{purpose.preset}.safetensors"

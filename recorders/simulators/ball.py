@@ -8,7 +8,7 @@ a physics engine solves.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -33,7 +33,9 @@ from tunenet_logs.recorders.simulators.known import ball_world, engine
 # at s = -1; n impacts later u = x (w - x), x the time since that impact, w the speed that it left.
 
 _MIN_SPEED = 1e-5  # [drop heights, sqrt(2 H / g)]; a slower is at rest: it would rise 2.5e-11 H
-_MIN_DRAG = 1e-7  # with less, a flight is a parabola: logarithms over it lose half their digits
+_MIN_DRAG = 1e-9  # with less, a flight is a parabola
+_LANDED = -17.0  # angle after which a flight is over, whatever the drag
+_FALL = np.zeros(1)  # place of the fall in a list of flights
 
 
 @dataclass(frozen=True)
@@ -50,37 +52,7 @@ class Bounce:
 
     def heights(self, places: Array) -> Array:
         """Compute heights u over contact at times s after the first impact, each of shape (T,)."""
-        starts, speeds = self.flights(float(places.max(initial=0.0)))
-        falls = places < 0.0
-        flies = ~falls
-        flown = places[flies]
-        flight = np.maximum(np.searchsorted(starts, flown, side="right") - 1, 0)
-        after = flown - starts[flight]
-        heights = np.empty_like(places)
-        if self.drag < _MIN_DRAG:
-            since = places[falls] + 1.0
-            heights[falls] = 1.0 - (since if self.starts_in_flight else np.maximum(since, 0.0)) ** 2
-            heights[flies] = np.maximum(after * (speeds[flight] - after), 0.0)
-            return heights
-        rate, lasts = np.sqrt(2.0 * self.drag), self.fall_time
-        since = places[falls] + lasts
-        fall = 1.0 - np.log(np.cosh(rate * np.clip(since, 0.0, lasts))) / self.drag
-        if self.starts_in_flight:
-            # The angle of a rise is the atan of speed over terminal speed: pi/2 is infinitely fast.
-            to_top = np.clip(-rate * since, 0.0, 1.5)
-            fall = fall + np.log(np.cos(to_top)) / self.drag
-        heights[falls] = fall
-        angles = np.arctan(speeds * np.sqrt(self.drag / 2.0))
-        tops = np.log(1.0 / np.cos(angles)) / self.drag
-        to_apex = angles[flight] - rate * after
-        rises = to_apex > 0.0
-        sinks = ~rises
-        up = np.log(np.cos(to_apex[rises]) / np.cos(angles)[flight[rises]]) / self.drag
-        down = np.log(np.cosh(np.minimum(-to_apex[sinks], 20.0))) / self.drag
-        over = np.empty_like(flown)
-        over[rises], over[sinks] = up, tops[flight[sinks]] - down
-        heights[flies] = np.maximum(over, 0.0)
-        return heights
+        return flown_by([self], places[None])[0][0]
 
     def flights(self, last: float) -> tuple[Array, Array]:
         """Compute when flights up to a time s start, and their first speeds, each of shape (N,)."""
@@ -138,6 +110,41 @@ class Bounce:
         reach = speed * math.sqrt(self.drag / 2.0)
         lasted = (math.atan(reach) + math.asinh(reach)) / math.sqrt(2.0 * self.drag)
         return lasted, speed / math.hypot(1.0, reach)
+
+
+def flown_by(balls: Sequence[Bounce], places: Array) -> tuple[Array, Array]:
+    """Compute heights u and upward speeds u' of balls at times s, all of shape (K, T), at once.
+
+    A flight is an angle: its rate times the time to its apex. The speed over the terminal one is
+    the angle's tan on the way up and its tanh on the way down, and heights are logarithms of these.
+    """
+    drags = np.array([max(ball.drag, _MIN_DRAG) for ball in balls])
+    rates, falls = np.sqrt(2.0 * drags), np.array([ball.fall_time for ball in balls])
+    lasts = places.max(axis=1, initial=0.0).tolist()
+    flights = [ball.flights(last) for ball, last in zip(balls, lasts, strict=True)]
+    # All flights in one list; the first of each ball is the fall, of which the apex is known.
+    counts = np.array([1 + len(starts) for starts, _ in flights])
+    first = counts.cumsum() - counts
+    rate = np.repeat(rates, counts)
+    reach = np.concatenate([part for _, left in flights for part in (_FALL, left)]) * rate / 2
+    apexes = np.concatenate([part for starts, _ in flights for part in (_FALL, starts)])
+    apexes += np.arctan(reach) / rate
+    tops = np.log1p(reach**2) / rate**2
+    apexes[first], tops[first] = -falls, 1.0
+    at = first[:, None] + np.array(
+        [
+            np.searchsorted(starts, row, side="right")
+            for (starts, _), row in zip(flights, places, strict=True)
+        ]
+    )
+    # Before the fall the ball is held, or it rises: pi / 2 is infinitely fast.
+    risen = np.array([1.5 if ball.starts_in_flight else 0.0 for ball in balls]) / rates
+    since = np.maximum(places, (-falls - risen)[:, None])
+    angles = np.maximum(rates[:, None] * (apexes[at] - since), _LANDED)
+    paces = np.where(angles > 0.0, np.tan(angles), np.tanh(angles))
+    heights = tops[at] - np.abs(np.log1p(paces * np.abs(paces))) / (2.0 * drags)[:, None]
+    flies = (heights > 0.0) | (places < 0.0)  # else it is at rest, or in a contact
+    return heights * flies, paces * flies * np.sqrt(2.0 / drags)[:, None]
 
 
 # ---- Vertical flight in closed form: dv/dt = -g - k v |v|, with the drag k [1/m]

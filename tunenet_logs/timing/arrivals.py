@@ -158,27 +158,30 @@ def assign_ticks(
     above = delays(arrivals, clocks, np.zeros(len(arrivals), np.int64))
     most = int(np.ceil((above.max(axis=1) / clocks.periods).min()))
     skipped = np.arange(before + 2 + min(max(most, 1), 150)) - float(before)
-    late = above[:, :, None] - clocks.periods[:, None, None] * skipped
-    # The negative log likelihood of each delay.
-    scales = clocks.scales[:, None, None]
-    early = np.clip(0.05 * scales, 0.3, 2.0)  # [ms], as the clock is not known exactly
-    share = late.clip(0) / scales
-    far = np.log(np.maximum(share, 1.0).astype(np.float32))
-    costs = 0.5 * (np.minimum(late, 0.0) / early) ** 2
+    late = above - np.outer(skipped, clocks.periods)[:, :, None]  # shape (S, C, T)
+    # The negative log likelihood of each delay: of what is early, as the clock is not known exactly
+    # [ms], and by the law, up to the limit of it and beyond.
+    scales, is_even = clocks.scales[:, None], (clocks.laws == EVEN)[:, None]
+    costs = np.minimum(late, 0.0)
+    costs /= np.sqrt(2) * np.clip(0.05 * scales, 0.3, 2.0)
+    costs *= costs
     costs += np.log(scales)
-    even, rarer = clocks.laws == EVEN, clocks.laws == RARER
-    costs[even] += np.where(share[even] > 1, _OUTLIER + _OUTLIERS_FALL * far[even], 0.0)
-    outside = _TYPICAL + _OUTLIERS_FALL * np.maximum(far[rarer] - np.log(_TYPICAL), 0.0)
-    costs[rarer] += np.minimum(share[rarer], outside)
+    share = np.divide(late, np.where(is_even, 1.0, _TYPICAL) * scales, out=late)
+    far = np.log(np.maximum(share, 1.0).astype(np.float32))
+    beyond = np.where(is_even, _OUTLIER, _TYPICAL) + _OUTLIERS_FALL * far
+    inside = np.where(is_even, 0.0, _TYPICAL) * np.maximum(share, 0.0)
+    costs += np.where(share > 1.0, beyond, inside)
     np.minimum(costs, NEVER, out=costs)
     if held is not None:
-        costs[:, held[0], skipped != held[1]] = NEVER
-    return cheapest(costs, before)
+        costs[skipped != held[1], :, held[0]] = NEVER
+    return cheapest(np.moveaxis(costs, 0, 2), before)
 
 
 def cheapest(costs: Array, before: int) -> TickAssignment:
     """Solve the assignment by dynamic programming from the cost of each tick, shape (C, T, S)."""
-    total = _sums(costs)
+    paid = np.ascontiguousarray(np.moveaxis(costs, 2, 0))
+    onward, backward = _sums(paid), _sums(paid[::-1, :, ::-1])[::-1, :, ::-1]
+    total = np.moveaxis(onward + backward - paid, 0, 2)  # of all ways through a sample and tick
     least = total[:, 0].min(axis=1)
     excess = total - least[:, None, None]
     # Of ways that cost the same the lowest is taken everywhere: they would else be mixed.
@@ -186,21 +189,21 @@ def cheapest(costs: Array, before: int) -> TickAssignment:
 
 
 def _sums(paid: Array) -> Array:
-    """Compute the least cost of all ways through each sample and tick, by min-sum both ways."""
-    # Onward and backward in one loop, without what the ticks lost up to each cost.
-    lost = _NEXT_LOST * np.arange(paid.shape[2])
-    sums = np.concatenate([paid, paid[:, ::-1, ::-1]]).swapaxes(0, 1).copy()
-    sums[0] -= lost
-    least = np.empty_like(sums[0])
-    for best, after in pairwise(sums):
-        # By one sample on: none is lost in between, or some are.
-        np.minimum.accumulate(best, axis=1, out=least)
-        np.add(least, _FIRST_LOST - _NEXT_LOST, out=least)
-        np.minimum(least, best, out=least)
-        np.add(after, least, out=after)
-    sums += lost
-    onward, backward = np.split(sums.swapaxes(0, 1), 2)
-    return onward + backward[:, ::-1, ::-1] - paid
+    """Compute the least cost of all ways up to each sample and tick, by min-sum, (S, C, T).
+
+    Ticks are only ever skipped: of one number of these, a way that comes there at a sample pays all
+    samples from it on, so the least of all such ways is a running minimum.
+    """
+    own = paid.cumsum(axis=2)
+    sums = np.empty_like(own)
+    comes = np.full(paid.shape[1:], np.inf)  # the least cost of coming there, without the sample's
+    for total, whole, each in zip(sums, own, paid, strict=True):
+        since = comes - (whole - each)
+        since[:, 0] = 0.0  # it may begin there
+        np.add(np.minimum.accumulate(since, axis=1), whole, out=total)
+        comes += _NEXT_LOST
+        np.minimum(comes[:, 1:], total[:, :-1] + _FIRST_LOST, out=comes[:, 1:])
+    return sums
 
 
 def _scales(late: Array, laws: NDArray[np.int64]) -> Array:
