@@ -12,7 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from math import sqrt
 from pathlib import Path
@@ -23,9 +23,18 @@ import numpy as np
 from tunenet_logs.analysis.checks import Verdict
 from tunenet_logs.analysis.compare import distinct
 from tunenet_logs.analysis.parallel import Piece, parallel_map
+from tunenet_logs.analysis.planning import (
+    MAX_HEIGHT_M,
+    MIN_HEIGHT_M,
+    ExpectedShot,
+    KnownBall,
+    ball_of,
+    expected_shot,
+    told_ball,
+)
 from tunenet_logs.analysis.record import Curves, Estimate, Record, read_record
 from tunenet_logs.episode import Picture
-from tunenet_logs.errors import LogError, TuneNetError
+from tunenet_logs.errors import LogError, TuneNetError, UsageError
 from tunenet_logs.files import real_path
 from tunenet_logs.formats.registry import is_folder
 from tunenet_logs.images import decode_image
@@ -38,6 +47,7 @@ from tunenet_logs.outcomes import (
     read_outcomes,
 )
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulators.shot import ShotRig, read_rig
 from tunenet_logs.terminal import Progress, listed
 
 # ---- Small film: a drop's images downsampled, and a strobe image of them.
@@ -159,6 +169,8 @@ class TunedDrop:
     window_s: tuple[float, float] | None = None  # its first and last sample, since the log's first
     film: SmallFilm | None = None  # its images; None if it has none, or they were not read
     others: tuple[Estimate, ...] = ()  # other scalars: how the restitution falls with speed, drag
+    impact_s: float | None = None  # its first impact, since the log's first sample
+    known: KnownBall | None = None  # the ball to plan shots with; None for a rejected drop
 
     @property
     def state(self) -> State:
@@ -193,6 +205,9 @@ def drop_of(record: Record, log: Path | None, tuning: Path | None) -> TunedDrop:
     restitution = record.estimate("restitution")
     value, ends = restitution and restitution.value, restitution and restitution.interval95
     window, scalars = record.window, (one for one in record.estimates if one.name != "restitution")
+    known = None
+    with suppress(ValueError):  # of a record with values that no ball has, no shot is drawn
+        known = ball_of(record) if isinstance(value, float) else None
     return TunedDrop(
         log=log,
         tuning=tuning,
@@ -205,6 +220,8 @@ def drop_of(record: Record, log: Path | None, tuning: Path | None) -> TunedDrop:
         overlay=record.motion.curves,
         window_s=(window["start_s"], window["end_s"]) if window else None,
         others=tuple(one for one in scalars if isinstance(one.value, float)),
+        impact_s=window.get("impact_s") if window else None,
+        known=known,
     )
 
 
@@ -215,6 +232,7 @@ _LOGS = frozenset((".mcap", ".bag", ".db3", ".mp4", ".mov", ".mkv", ".avi", ".we
 # The same for a file that the user names: a table that merely lies in a folder may be anything.
 _NAMED_LOGS = _LOGS | {".csv", ".tsv"}
 _TABLES = frozenset((".csv", ".tsv", ".txt"))  # suffixes of what may be a table of outcomes
+_RIGS = frozenset((".yaml", ".yml"))  # of a rig, where it is named or has "rig" in its name
 # Of one folder: a campaign has hundreds; one with more is a home or a disk, named by mistake.
 _MAX_FILES = 20_000
 _MAX_ENTRIES = 100_000  # files and folders that are looked at: folders may hold no file
@@ -228,6 +246,7 @@ class Material:
     drops: tuple[TunedDrop, ...]  # tuned, sorted by name
     untuned: tuple[Path, ...]  # logs without a tuning
     roots: tuple[Path, ...]  # folders that outcomes may name files from
+    rig: ShotRig | None = None  # that the shots were made with; None where no file tells
 
 
 def material_of(places: Sequence[Path], warn: Warn) -> Material:
@@ -237,6 +256,7 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
     drops: list[TunedDrop] = []
     logs: list[Path] = []
     outcome_files: list[Path] = []
+    rigs: dict[Path, ShotRig] = {}
     for file in files_of(places, warn):
         suffixes = _NAMED_LOGS if real_path(file) in named else _LOGS
         try:
@@ -247,6 +267,14 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
                 outcome_files.append(file)
             elif file.suffix.lower() in suffixes:
                 logs.append(file)
+            elif file.suffix.lower() in _RIGS and (
+                real_path(file) in named or "rig" in file.stem.lower()
+            ):
+                rigs[file] = read_rig(file)
+        except UsageError as error:
+            if real_path(file) in named:
+                raise
+            warn(f"{error}; no shot is drawn by it")
         except OSError as error:
             warn(f"{file}: cannot be read ({error.strerror})")
     if not (outcomes or drops or logs):
@@ -255,6 +283,9 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
             f"{words}: holds no drop and no outcome; name a folder with logs that tunenet-record "
             "wrote, and the tunings beside them"
         )
+    if len(rigs) > 1:
+        first, *others = map(str, rigs)
+        warn(f"shots are drawn by {first}, not by {listed(others, 3)}")
     roots = tuple(dict.fromkeys(place if place.is_dir() else place.parent for place in places))
     no_drops = {real_path(file) for file in outcome_files}
     drops = [
@@ -272,6 +303,7 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
         drops=tuple(sorted(drops, key=lambda drop: natural(drop.name))),
         untuned=tuple(log for log in logs if not tuned & {real_path(log), real_path(log).parent}),
         roots=roots,
+        rig=next(iter(rigs.values()), None),
     )
 
 
@@ -564,6 +596,9 @@ class Campaign:
     tuned_now: int  # How many drops had no tuning beside them
     unread: int  # How many logs cannot be read; they are no attempts
     places: tuple[str, ...] = ()  # That were named, without links
+    rig: ShotRig | None = None  # That the shots were made with; None where no file tells
+    # As they were to be expected, by the attempt's number
+    shots: Mapping[int, ExpectedShot] = field(default_factory=dict)
 
 
 def campaign_of(
@@ -586,7 +621,35 @@ def campaign_of(
         raise LogError(f"{named}: no drop and no outcome of it can be read", "name others")
     name = real_path(places[0]).name or "campaign"
     tuned_now = sum(drop.tuning is None for drop in drops)
-    return Campaign(name, attempts, tuned_now, len(unread), places_of(places))
+    rig = material.rig
+    shots = {} if rig is None else expected_shots(attempts, rig, warn)
+    named = places_of(places)
+    return Campaign(name, attempts, tuned_now, len(unread), named, rig, shots)
+
+
+_MAX_SHOTS = 300  # that are simulated: each takes a tenth of a second
+
+
+def expected_shots(
+    attempts: Sequence[Attempt], rig: ShotRig, warn: Warn
+) -> dict[int, ExpectedShot]:
+    """Simulate the bounce shots whose height and ball are known, by the attempt's number."""
+    found: dict[int, ExpectedShot] = {}
+    for attempt in attempts:
+        outcome = attempt.outcome
+        if outcome is None or outcome.task != BOUNCE_SHOT or outcome.shot_height_m is None:
+            continue
+        ball = attempt.used.known if attempt.used is not None else None
+        told = outcome.tuned_parameter
+        if ball is None and told is not None and 0 <= told <= 1:
+            ball = told_ball(told)
+        if ball is None or not MIN_HEIGHT_M <= outcome.shot_height_m <= MAX_HEIGHT_M:
+            continue
+        if len(found) == _MAX_SHOTS:
+            warn(f"the shots after attempt {max(found)} are not simulated: over {_MAX_SHOTS}")
+            break
+        found[attempt.number] = expected_shot(rig, ball, outcome.shot_height_m)
+    return found
 
 
 def places_of(places: Sequence[Path]) -> tuple[str, ...]:

@@ -31,7 +31,9 @@ from tunenet_logs.recorders.simulators.shot import (
     Flights,
     ShotBall,
     ShotRig,
+    fly,
     passes,
+    released,
     shoot,
     shoot_in_engine,
 )
@@ -104,7 +106,7 @@ def read_tuning(path: Path) -> KnownBall:
             "ball that bounced"
         )
     try:
-        ball = replace(_ball_of(record), name=record.ball or "", logs=logs_of([record]))
+        ball = replace(ball_of(record), name=record.ball or "", logs=logs_of([record]))
     except ValueError as error:
         raise LogError(f"{path}: {error}; tune the log again") from error
     if record.verdict == "suspect":
@@ -132,8 +134,12 @@ def contradiction(ball: KnownBall, rig_ball: ShotBall, *, is_told: bool) -> str 
     )
 
 
-def _ball_of(record: Record) -> KnownBall:
-    """Build the ball by what was tuned; of a record without a slope, by its bounces."""
+def ball_of(record: Record) -> KnownBall:
+    """Build the ball by what was tuned; of a record without a slope, by its bounces.
+
+    Raises:
+        ValueError: The record holds no restitution, or values that no ball has.
+    """
     first = _tuned(record, RESTITUTION.name, 0.0, 1.0)
     if first is None:
         raise ValueError("holds no restitution; give the tuning of a dropped ball")
@@ -240,7 +246,7 @@ _MIN_HEIGHTS, _MAX_HEIGHTS = 12, 100
 
 _FIRST_SHIFT = 0.15  # of the restitution, to either side: the default hoop forgives about 0.04
 _SHIFTS = 15  # that are tried at a time to either side: a hundredth apart at first
-_MIN_HEIGHT_M = 0.005  # the lowest height that is tried: from 0 m a ball has no impact
+MIN_HEIGHT_M = 0.005  # the lowest height that is tried: from 0 m a ball has no impact
 # Drags that are tried to either side, denser near the ball's own: down to none, and up by so much.
 _DRAGS, _MAX_ADDED_DRAG_1_M = 12, 0.5
 
@@ -268,7 +274,7 @@ def height_ends(
     most_m = max(1.0, room_m)  # likewise: a shot that passes even from there is reported so far
     while True:
         count = int(np.clip(np.ceil(room_m / pitch_m), _MIN_HEIGHTS, _MAX_HEIGHTS))
-        lowest, highest = max(wide[0] - room_m, _MIN_HEIGHT_M), wide[-1] + room_m
+        lowest, highest = max(wide[0] - room_m, MIN_HEIGHT_M), wide[-1] + room_m
         below = np.linspace(lowest, wide[0], count, endpoint=False)
         above = np.linspace(wide[-1], highest, count + 1)[1:]
         beyond = np.concatenate([below, above])
@@ -277,7 +283,7 @@ def height_ends(
         gaps = np.concatenate([more[:count], gaps, more[count:]])
         before += count
         found = [_ends(wide, gaps, before + index) for index in which.tolist()]
-        is_open = any(low == wide[0] > _MIN_HEIGHT_M or high == wide[-1] for low, high in found)
+        is_open = any(low == wide[0] > MIN_HEIGHT_M or high == wide[-1] for low, high in found)
         if not is_open or highest >= heights_m[-1] + most_m:
             return found
         room_m *= 2
@@ -335,6 +341,36 @@ def _ends(values: Array, gaps: Array, index: int) -> Range:
             end += float(fraction * (values[at + way] - values[at]))
         found.append(end)
     return found[0], found[1]
+
+
+# ---- One shot, as it was to be expected: for what then happened to be seen beside it.
+
+MAX_HEIGHT_M = 50.0  # of a shot that is simulated
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedShot:
+    """Shot with the likeliest restitution, and with both ends of its 95 %."""
+
+    paths_m: Array  # of the centres: likeliest, least, greatest; shape (T, 3, 3), last x, y, z
+    # Forward of the hoop's centre where each comes down, as without a rim, shape (3,); NaN if it
+    # never does
+    offset_m: Array
+    is_through: bool  # the likeliest one, with the rim in its way
+
+
+def expected_shot(rig: ShotRig, ball: KnownBall, height_m: float) -> ExpectedShot:
+    """Simulate a shot from a height above the touch point, at most `MAX_HEIGHT_M`."""
+    if ball.drag_1_m is not None:
+        rig = rig.with_drag(ball.drag_1_m)
+    tilt = math.radians(rig.plane.incline_deg)
+    speed_m_s = math.sqrt(2 * rig.gravity_m_s2 * height_m) * math.cos(tilt)
+    shifts = TWO_SIDED * ball.sd_at(speed_m_s) * np.array([0.0, -1.0, 1.0])
+    heights_m = np.full(3, height_m)
+    start = released(rig, heights_m)
+    flown = fly(rig, ball.law, start, shifts, has_rim=True, step_s=COARSE_S, keep=True)
+    free = passes(rig, ball.law, heights_m, shifts)
+    return ExpectedShot(flown.positions_m, free.offset_m[:, 0], bool(flown.is_through[0]))
 
 
 # ---- Plan: simulate a range of release heights, and choose the most tolerant.

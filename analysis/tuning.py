@@ -117,6 +117,10 @@ def tune_log(path: Path, options: TuneOptions) -> Tuning:
     except TuneNetError as error:
         watch.lap("read")
         reason = str(error).removeprefix(f"{path}: ")
+        if options.source is not None:
+            from tunenet_logs.analysis.sysid.source import with_joints
+
+            reason = with_joints(reason, options.source)
         return Tuning(path, options.task, options.preset, "rejected", reason, seconds=watch.seconds)
     watch.lap("read")
     return tune_episode(episode, options, path, watch)

@@ -97,8 +97,10 @@ def _entry(name: str, entry: Any) -> Iterator[str]:
         is_called = member.is_function or "property" in member.labels
         if is_called and not own_name.startswith("_") and member.docstring is not None:
             title = _signature(own_name, member) if member.is_function else own_name
-            text = member.docstring.parse("google")[0].value  # the rest of a short one says columns
-            rows.append(f"- `{title}`: {_one_line(text)}")
+            text = _one_line(member.docstring.parse("google")[0].value)
+            if "olumns" not in text:  # of a table, which columns it has
+                text = f"{text.removesuffix('.').split('. ')[0]}."
+            rows.append(f"- `{title}`: {text}")
     yield "\n".join(rows)
 
 
@@ -202,16 +204,20 @@ _CHECK_LINES = re.compile(r"(?:^- \*\*.*\n)+", re.MULTILINE)
 def checks_page(text: str) -> str:
     """The text of docs/checks.md, with its lists as the tables of checks are."""
     parts = re.split(r"(?m)^## (.*)$", text)
+    told: dict[str, str] = {}  # advice, and the check that it stands with
     for at in range(1, len(parts), 2):
         if specs := SECTIONS.get(parts[at]):
-            lines = "".join(_check_line(spec) + "\n" for spec in specs.values())
+            lines = "".join(_check_line(spec, told) + "\n" for spec in specs.values())
             parts[at + 1] = _CHECK_LINES.sub(lines.replace("\\", r"\\"), parts[at + 1])
         parts[at] = f"## {parts[at]}"
     return "".join(parts)
 
 
-def _check_line(spec: CheckSpec) -> str:
-    """Format a check: name, verdict if not, what it measures, what passes, what to do."""
+def _check_line(spec: CheckSpec, told: dict[str, str]) -> str:
+    """Format a check: name, verdict if not, what it measures, what passes, what to do.
+
+    Advice that stands above is not repeated.
+    """
     sense, value, unit, _, worst = spec.limit
     limit = f"{value:g} {unit}".rstrip()
     usual = {"at least": "{} or more", "within": "at most {} either way"}.get(sense, "at most {}")
@@ -224,7 +230,10 @@ def _check_line(spec: CheckSpec) -> str:
     advice = re.sub(r"<[^>]+>|--[a-z-]+", lambda option: f"`{option[0]}`", spec.advice)
     advice = re.sub(r"tunenet-\w+ .*", lambda command: f"`{command[0].replace('`', '')}`", advice)
     what = f"**{spec.name}** ({if_not})" if if_not else f"**{spec.name}**"
-    return f"- {what}: {spec.measures}, **{passes}**. {advice[0].upper()}{advice[1:]}."
+    advice = f"{advice[0].upper()}{advice[1:]}."
+    if (first := told.setdefault(advice, spec.name)) != spec.name:
+        advice = f"As *{first}*."
+    return f"- {what}: {spec.measures}, **{passes}**. {advice}"
 
 
 if __name__ == "__main__":

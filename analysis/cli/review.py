@@ -20,10 +20,11 @@ beside the paper's, the curves and the video of every drop.
 Takes folders (with those in them) and files: logs of drops, the JSON that tunenet-tune
 wrote of each, outcomes that tunenet-record --outcome wrote, or a CSV of outcomes with
 the columns ball and success (also task, attempt, time, shot_height_m, miss_m,
-drop_log, tuning, reason, note). An outcome belongs to the drop that it names; a drop of
-that ball before it which none names was tried for the same attempt. A JSON belongs to
-the log beside it, else to the one log of its name; drops without one are tuned on the
-way, which takes seconds each."""
+drop_log, tuning, reason, note), and the rig's YAML (with "rig" in its name), by
+which each shot is drawn as it was to be expected. An outcome belongs to the drop that
+it names; a drop of that ball before it which none names was tried for the same
+attempt. A JSON belongs to the log beside it, else to the one log of its name; drops
+without one are tuned on the way, which takes seconds each."""
 
 _EXAMPLES = """\
   tunenet-review campaign/ -o campaign.rrd

@@ -443,10 +443,10 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     if data.fitted is not None:
         entries.append((data.fitted.label, [data.fitted.color]))
 
-    key = draw.log_key(stream, entries)
+    draw.log_key(stream, entries)
 
     def with_key(*views: rrb.View, columns: int, name: str = "") -> rrb.Container:
-        grid = rrb.Grid(*views, grid_columns=columns)
+        key, grid = draw.key_view(len(entries)), rrb.Grid(*views, grid_columns=columns)
         return rrb.Vertical(key, grid, row_shares=draw.KEY_SHARES, name=name or None)
 
     arm = log_arm(stream, data)
@@ -491,7 +491,7 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         arm,
         with_key(*torques[:_PLAYED], columns=1),  # wide enough for ticks of time
         draw.result_view(),
-        column_shares=[3.6, 6, 4.6],
+        column_shares=[4, 6, 4.6],
         name=f"overlay (timeline {draw.LOG_TIME})",
     )
     scrub = rrb.Horizontal(
@@ -526,6 +526,8 @@ def _log_torques(
     off = np.abs(data.simulated[-1].effort_nm - data.observed_nm)
     usual = np.quantile(off, 0.98, axis=0)  # or a spike would make the axis useless
     least = max(float(np.median(usual[data.used])), 0.05)
+    begin_s, end_s = float(data.seconds[0]), float(data.seconds[-1])
+    shown_s = (0.0 if 0 < begin_s < 0.1 * end_s else begin_s), end_s  # or the tick of 0 is cut
     best = data.fitted or data.simulated[-1]
     torques: list[rrb.View] = []
     residuals: list[rrb.View] = []
@@ -545,9 +547,10 @@ def _log_torques(
         more = max(0.0, 2.0 - (high - low)) / 2  # less would make noise look like torque
         reach = 1.3 * max(float(usual[joint]), least)
         title = data.title(joint, "torque") + ("" if data.used[joint] else ", not used")
-        torques.append(draw.plot_view(torque, title, draw.ticked(low - more, high + more)))
+        span = draw.ticked(low - more, high + more)
+        torques.append(draw.plot_view(torque, title, span, shown_s))
         title = data.title(joint, "simulated - observed")
-        residuals.append(draw.plot_view(residual, title, draw.ticked(-reach, reach)))
+        residuals.append(draw.plot_view(residual, title, draw.ticked(-reach, reach), shown_s))
     return torques, residuals
 
 

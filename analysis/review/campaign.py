@@ -7,7 +7,7 @@ has a row, maybe an empty one, where an attempt or a drop begins: so it never sh
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isnan
 from pathlib import Path
@@ -28,10 +28,13 @@ from tunenet_logs.analysis.campaign import (
     overall_rates,
     restitutions_by_ball,
 )
+from tunenet_logs.analysis.planning import ExpectedShot
 from tunenet_logs.analysis.presentation import markdown_table
 from tunenet_logs.analysis.result_files import subject_of
 from tunenet_logs.analysis.review import drawing as draw
 from tunenet_logs.episode import Array
+from tunenet_logs.outcomes import BOUNCE_SHOT
+from tunenet_logs.recorders.simulators.shot import Hoop
 from tunenet_logs.terminal import one_line, short_name
 
 # ---- Timelines: by attempt, as one film of all drops, by wall clock.
@@ -40,7 +43,7 @@ ATTEMPT = "attempt"  # the timeline that is stepped through: 1, 2, ..
 FILM = "film_s"  # the timeline that plays: all drops one after the other [s]
 WALL = "wall_clock"  # the timeline of recording; attempts whose clock is unknown are not on it
 # On `FILM`, of a tuning, a shot and an outcome, one after the other: each can be followed.
-_STEP_S = 0.5
+_STEP_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +113,7 @@ def slots_of(attempts: Sequence[Attempt]) -> tuple[Slot, ...]:
                 if part is not None:
                     times += (float(part.seconds[0]), float(part.seconds[-1]))
             # On `FILM`, of a drop without curves and pictures: enough to read what it was [s]
-            first_s, last_s = (min(times), max(times)) if times else (0.0, 1.0)
+            first_s, last_s = (min(times), max(times)) if times else (0.0, 2.0)
             shown.append(Shown(attempt, drop, at_s, first_s, at_s + last_s - first_s))
             at_s = shown[-1].end_s
         # Its first drop's beginning; its end if another attempt began with that drop.
@@ -216,7 +219,7 @@ def log_films(stream: rr.RecordingStream, slots: Sequence[Slot]) -> rrb.View | N
                 indexes = moments(slot, shown, film.seconds)
                 columns = rr.EncodedImage.columns(blob=list(film.pictures))
                 stream.send_columns(_PICTURES, indexes=indexes, columns=columns)
-    title = "its video (timeline film_s plays it)"
+    title = "video (on film_s)"
     return rrb.Spatial2DView(origin="/film", name=title, background=draw.GROUND)
 
 
@@ -237,30 +240,42 @@ _OVERLAY_WIDTH = 1.9  # of the chart of curves, in its heights: about the shape 
 
 
 class _CurveAxes(NamedTuple):
-    """Range of the chart: seconds from a drop's beginning, and height [m]."""
+    """Range of the chart: seconds from a drop's first impact, and height [m]."""
 
+    begin_s: float
     span_s: float
     top_m: float
 
+    def x(self, seconds: Any) -> Any:
+        """Map seconds from the first impact to places in the chart."""
+        return (seconds - self.begin_s) / self.span_s * _OVERLAY_WIDTH
+
     def points(self, drop: TunedDrop, heights_m: Array) -> Array:
         """Map a curve's heights, shape (T,), to points in the chart, shape (T, 2)."""
-        assert drop.overlay is not None
-        seconds = drop.overlay.seconds - drop.overlay.seconds[0]
-        return np.column_stack([seconds / self.span_s * _OVERLAY_WIDTH, -heights_m / self.top_m])
+        return np.column_stack([self.x(_since_impact_s(drop)), -heights_m / self.top_m])
+
+
+def _since_impact_s(drop: TunedDrop) -> Array:
+    """Return the times of a drop's curves from its first impact, where it is known [s]."""
+    assert drop.overlay is not None
+    zero_s = drop.overlay.seconds[0] if drop.impact_s is None else drop.impact_s
+    return drop.overlay.seconds - zero_s
 
 
 def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> rrb.View:
     """Log each drop's observed and tuned height, or why it has none; return the view."""
-    overlays = [shown.drop.overlay for slot in slots for shown in slot.drops if shown.drop.overlay]
-    axes = _CurveAxes(1.0, 1.0)
+    curved = [shown.drop for slot in slots for shown in slot.drops if shown.drop.overlay]
+    overlays = [drop.overlay for drop in curved if drop.overlay]
+    axes = _CurveAxes(0.0, 1.0, 1.0)
     if overlays:
-        span_s = max(float(overlay.seconds[-1] - overlay.seconds[0]) for overlay in overlays)
+        begin_s = min(float(_since_impact_s(drop)[0]) for drop in curved)
+        span_s = max(float(_since_impact_s(drop)[-1]) for drop in curved) - begin_s
         top_m = max(float(np.nanmax(overlay.observed_m, initial=0.0)) for overlay in overlays)
-        axes = _CurveAxes(span_s, max(1.02 * top_m, 1e-3))
+        axes = _CurveAxes(begin_s, max(span_s, 1e-3), max(1.02 * top_m, 1e-3))
     rows = [(-height / axes.top_m, f"{height:g} m") for height in draw.ticks(0.0, axes.top_m)]
     marks = [
-        (second / axes.span_s * _OVERLAY_WIDTH, f"{second:g} s")
-        for second in draw.ticks(0.0, axes.span_s)
+        (axes.x(second), f"{second:g} s")
+        for second in draw.ticks(axes.begin_s, axes.begin_s + axes.span_s)
     ]
     draw.log_grid(stream, "sheets/overlay", _OVERLAY_WIDTH, rows, marks)
     # All drops of the campaign lie behind, faint.
@@ -308,7 +323,7 @@ def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> rrb.View:
     )
     log_begun(stream, slots, "sheets/overlay/words", style, words)
     _log_now(stream, slots, axes)
-    title = "its drop: height above the table, observed (dots), tuned (line); all drops (faint)"
+    title = "drop: observed dots, tuned line, all drops faint"
     return draw.chart_view("overlay", title, _OVERLAY_WIDTH)
 
 
@@ -361,23 +376,33 @@ def _log_now(stream: rr.RecordingStream, slots: Sequence[Slot], axes: _CurveAxes
 # ---- Attempt under the cursor: its drop's curves, its images, and facts.
 
 
-def log_attempts(stream: rr.RecordingStream, slots: Sequence[Slot]) -> list[rrb.View]:
-    """Log each attempt's curves, images if any has them, and facts; return their views."""
-    views = [log_overlays(stream, slots), log_films(stream, slots)]
+def log_attempts(
+    stream: rr.RecordingStream, slots: Sequence[Slot], campaign: Campaign
+) -> rrb.Container:
+    """Log each attempt's curves, its shot and images if any has them, and facts; lay them out."""
+    views = [
+        (log_overlays(stream, slots), 4.4),
+        (log_shots(stream, slots, campaign), 3.2),
+        (log_films(stream, slots), 2.2),
+    ]
     log_begun(
         stream,
         slots,
         "attempt",
         rr.TextDocument.from_fields(media_type="text/markdown"),
         lambda _, begun: rr.TextDocument.columns(
-            text=[attempt_words(slot.attempt) for slot, _ in begun]
+            text=[
+                attempt_words(slot.attempt, campaign.shots.get(slot.attempt.number))
+                for slot, _ in begun
+            ]
         ),
     )
-    facts = rrb.TextDocumentView(origin="/attempt", name="the attempt")
-    return [*(view for view in views if view is not None), facts]
+    views.append((rrb.TextDocumentView(origin="/attempt", name="the attempt"), 3.2))
+    shown = [(view, share) for view, share in views if view is not None]
+    return rrb.Horizontal(*(view for view, _ in shown), column_shares=[share for _, share in shown])
 
 
-def attempt_words(attempt: Attempt) -> str:
+def attempt_words(attempt: Attempt, shot: ExpectedShot | None = None) -> str:
     """Describe an attempt in Markdown."""
     outcome, used = attempt.outcome, attempt.used
     end = "no outcome recorded" if outcome is None else outcome.word
@@ -398,6 +423,8 @@ def attempt_words(attempt: Attempt) -> str:
             )
         facts += [one_line(text) for text in (outcome.reason, outcome.note) if text]
         lines.append("; ".join(facts))
+    if shot is not None:
+        lines.append(_expected_words(shot))
     if attempt.value is not None:
         ends = attempt.interval95
         sure = f" (95 %: {ends[0]:.4f} to {ends[1]:.4f})" if ends is not None else ""
@@ -416,6 +443,154 @@ def attempt_words(attempt: Attempt) -> str:
         review = used.tuning.with_suffix(".rrd")
         lines += [f"review of the drop: `rerun {one_line(review.name)}`"] if review.exists() else []
     return "\n\n".join(line for line in lines if line)
+
+
+def _expected_words(shot: ExpectedShot) -> str:
+    """Say where a shot was expected to come down, by its restitution's 95 %."""
+    middle, *ends = (1000 * shot.offset_m).tolist()
+    if isnan(middle):
+        return "expected: it never comes down at the hoop's height"
+    low, high = sorted(ends)
+    sure = "" if isnan(low + high) else f" (95 % by the restitution: {low:+.0f} to {high:+.0f})"
+    where = f"{abs(middle):.0f} mm {'short of' if middle < 0 else 'beyond'} the centre"
+    return f"expected: {where}{sure}, {'through' if shot.is_through else 'not through'} the hoop"
+
+
+# ---- Shot under the cursor, from the side: plane and hoop, its expected path, where it came down.
+
+_BOARD: draw.Color = (150, 130, 105)
+_RIM: draw.Color = (235, 90, 60)
+
+
+def log_shots(
+    stream: rr.RecordingStream, slots: Sequence[Slot], campaign: Campaign
+) -> rrb.View | None:
+    """Log each shot's expected path beside where it came down; None where no rig is known."""
+    rig = campaign.rig
+    if rig is None or not campaign.shots:
+        return None
+    sheet, ball_m = "sheets/shot", rig.ball.radius_m
+    # The rig, from the side; Rerun's y points down.
+    plane, hoop = rig.plane, rig.hoop
+    ends = np.outer([-3 * ball_m, plane.downhill_m], plane.downhill)[:, [0, 2]]
+    draw.log_strips(stream, f"{sheet}/plane", [_flipped(ends)], [_BOARD], 2.0, 5.0)
+    rims = np.array([[hoop.forward_m + side * hoop.ring_radius_m, hoop.up_m] for side in (-1, 1)])
+    draw.log_strips(stream, f"{sheet}/hoop", [_flipped(rims)], [draw.mixed(_RIM, 0.45)], 0.8, 6.0)
+    draw.log_dots(stream, f"{sheet}/rim", _flipped(rims), [_RIM], 3.0, 7.0)
+    shots = campaign.shots
+
+    def paths(_: str, begun: list[Begun]) -> Any:
+        """Draw the likeliest on top of both ends of its 95 %."""
+        known = [shots.get(slot.attempt.number) for slot, _ in begun]
+        strips = [
+            [_flipped(_path(shot, which)) for which in (1, 2, 0)] if shot else [] for shot in known
+        ]
+        faint = draw.mixed(_TUNED, 0.4)
+        columns = rr.LineStrips2D.columns(
+            strips=[strip for some in strips for strip in some],
+            colors=[color for some in strips if some for color in (faint, faint, _TUNED)],
+        )
+        return columns.partition([len(some) for some in strips])
+
+    def happened(_: str, begun: list[Begun]) -> Any:
+        seen = [_came_down(slot.attempt, hoop) for slot, _ in begun]
+        told = [one for one in seen if one is not None]
+        columns = rr.Points2D.columns(
+            positions=[place for place, _, _ in told],
+            labels=[words for _, words, _ in told],
+            colors=[color for _, _, color in told],
+        )
+        return columns.partition([0 if one is None else 1 for one in seen])
+
+    def words(_: str, begun: list[Begun]) -> Any:
+        texts = [_shot_words(slot.attempt, shots.get(slot.attempt.number)) for slot, _ in begun]
+        places = [_flipped(np.array([place]))[0] for place, _ in texts]
+        columns = rr.Points2D.columns(positions=places, labels=[text for _, text in texts])
+        return columns.partition([1] * len(texts))
+
+    tops_m = [float(shot.paths_m[..., 2].max()) for shot in shots.values()]
+    middle = np.array([hoop.forward_m / 2, max(tops_m) / 2])
+
+    def _shot_words(attempt: Attempt, shot: ExpectedShot | None) -> tuple[Array, str]:
+        if shot is not None and attempt.outcome is not None:
+            above = shot.paths_m[0, 0, [0, 2]] + [0.0, 2.0 * ball_m]
+            return above, f"let go {attempt.outcome.shot_height_m:.3f} m above"
+        if not attempt.was_shot:
+            return middle, "no shot"
+        return middle, "its height or its ball is not known"
+
+    style = rr.LineStrips2D.from_fields(radii=draw.screen_radius(1.2), draw_order=20.0)
+    log_begun(stream, slots, f"{sheet}/expected", style, paths)
+    style = rr.Points2D.from_fields(
+        radii=draw.screen_radius(5.0), show_labels=True, draw_order=30.0
+    )
+    log_begun(stream, slots, f"{sheet}/happened", style, happened)
+    style = rr.Points2D.from_fields(
+        colors=[draw.MUTED], radii=draw.screen_radius(0.1), show_labels=True
+    )
+    log_begun(stream, slots, f"{sheet}/words", style, words)
+    _log_flights(stream, slots, shots, ball_m)
+    # All paths, and room for words above and below.
+    every = np.concatenate([shot.paths_m[..., [0, 2]].reshape(-1, 2) for shot in shots.values()])
+    every = np.concatenate([every, ends, rims])
+    (left, low), (right, high) = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+    room = 0.12 * max(right - left, high - low)
+    return rrb.Spatial2DView(
+        origin=f"/{sheet}",
+        name="shot: expected line, real dot",
+        background=draw.GROUND,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=(float(left - room), float(right + room)),
+            y_range=(float(-high - room), float(-low + room)),
+        ),
+    )
+
+
+def _log_flights(
+    stream: rr.RecordingStream, slots: Sequence[Slot], shots: Mapping[int, ExpectedShot], m: float
+) -> None:
+    """Log the ball of radius `m` as it flies along the expected path, on `FILM` alone."""
+    entity = "sheets/shot/ball"
+    style = rr.Points2D.from_fields(colors=[_TUNED], radii=[m], draw_order=25.0)
+    empty = rr.Points2D.columns(positions=np.zeros((0, 2)))
+    log_begun(
+        stream,
+        slots,
+        entity,
+        style,
+        lambda name, begun: empty.partition([0] * len(begun)) if name == FILM else None,
+    )
+    for slot in slots:
+        shot = shots.get(slot.attempt.number)
+        if shot is None:
+            continue
+        path = _path(shot, 0)[::8]
+        # Within the time that a shot takes up.
+        film_s = slot.tuned_s + _STEP_S + np.linspace(0.0, _STEP_S, len(path))
+        columns = rr.Points2D.columns(positions=_flipped(path))
+        stream.send_columns(entity, [rr.TimeColumn(FILM, duration=film_s)], columns)
+
+
+def _path(shot: ExpectedShot, which: int) -> Array:
+    """Return forward and up of one path until its shot is over, shape (T, 2) [m]."""
+    path = shot.paths_m[:, which][:, [0, 2]]
+    moves = np.flatnonzero((path[1:] != path[:-1]).any(axis=1))
+    return path[: moves[-1] + 2] if len(moves) else path
+
+
+def _flipped(points: Array) -> Array:
+    """Turn forward and up into a 2D view's right and down."""
+    return points * [1.0, -1.0]
+
+
+def _came_down(attempt: Attempt, hoop: Hoop) -> tuple[Array, str, draw.Color] | None:
+    """Return where a shot came down, in words, and its colour; None where it was not measured."""
+    outcome = attempt.outcome
+    if outcome is None or outcome.miss_m is None or outcome.task != BOUNCE_SHOT:
+        return None
+    place = _flipped(np.array([[hoop.forward_m + outcome.miss_m, hoop.up_m]]))[0]
+    color = draw.SUCCESS if outcome.success else draw.FAILURE
+    return place, f"{outcome.word}: {1000 * outcome.miss_m:+.0f} mm", color
 
 
 # ---- Charts of a whole campaign, a row per ball: success rates, and restitutions.
@@ -606,7 +781,8 @@ def _changes(slot: Slot) -> Iterator[_LaneChange]:
     yield _LaneChange(BALL, f"{ball}, {attempt.of_ball}", ball, number, slot.start_s, begin_ns)
     for index, shown in enumerate(slot.drops):
         kind = shown.drop.state
-        state = f"{kind} again" if index else kind
+        state = kind if kind == "drop" else kind.removesuffix(" drop")  # short ones are not cut
+        state = f"{state} again" if index else state
         yield _LaneChange(DROP, state, kind, number, shown.start_s, slot.drop_ns(shown))
     if not slot.drops:
         yield _LaneChange(DROP, "no drop", "no drop", number, slot.start_s, begin_ns)
@@ -685,7 +861,7 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
         rates = (*overall_rates(campaign.attempts), *ball_rates(campaign.attempts))
         restitutions = restitutions_by_ball(campaign.attempts)
         charts = [log_rates(stream, rates), log_restitutions(stream, restitutions)]
-        views = log_attempts(stream, slots)
+        rows = log_attempts(stream, slots, campaign)
         name = short_name(campaign.name, 40)  # in the titles of views
         # All lanes, over the whole active timeline, above the charts and the attempt at the cursor.
         shares = [0.36, 1 - 0.36]  # all lanes are in view on a small screen too
@@ -696,7 +872,6 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
             )
             for more in ("; the next tab shows it", "")
         ]
-        rows = rrb.Horizontal(*views, column_shares=[5, 3, 3][: len(views)])
         overview = rrb.Vertical(
             lanes[0], rrb.Horizontal(*charts), row_shares=shares, name="overview"
         )

@@ -51,10 +51,10 @@ def eye_and_target(points_m: Array, azimuth_rad: float, margin_m: float) -> tupl
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
     off = points_m - middle
-    # With the tangents of half of what the camera sees.
+    # With the tangents of half of what the camera sees of a view twice as high as wide.
     distances_m = [
         (np.abs(off @ across) + margin_m) / half + off @ towards
-        for across, half in ((right, 0.36), (np.cross(towards, right), 0.5))
+        for across, half in ((right, 0.25), (np.cross(towards, right), 0.5))
     ]
     return middle + float(np.max(distances_m)) * towards, middle
 
@@ -259,7 +259,7 @@ def chart_view(name: str, title: str, width: float = WIDTH) -> rrb.View:
         origin=f"/sheets/{name}",
         name=title,
         background=GROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(-0.2, width + 0.12), y_range=(-1.2, 0.36)),
+        visual_bounds=rrb.VisualBounds2D(x_range=(-0.32, width + 0.12), y_range=(-1.2, 0.36)),
     )
 
 
@@ -274,7 +274,7 @@ def log_grid(
     """Log lines across at the rows, ticks below at the marks, and the labels of both."""
     lines = [[[0, y], [width, y]] for y, _ in rows] + [[[x, 0.02], [x, 0]] for x, _ in marks]
     log_strips(stream, f"{sheet}/grid", lines, [GRID], 0.5)
-    places = [[-0.09, y - hang] for y, _ in rows] + [[x, 0.04] for x, _ in marks]
+    places = [[-0.15, y - hang] for y, _ in rows] + [[x, 0.04] for x, _ in marks]
     log_labels(stream, f"{sheet}/labels", places, [text for _, text in rows + marks])
 
 
@@ -349,7 +349,7 @@ def log_iterates(
     low, high = span
     count, sheet = len(values), f"sheets/{chart}"
     # From a dot up to the place that its figure hangs from: more where figures are wide.
-    rise = 0.2 * min(wide / 0.62, 1.6)
+    rise = 0.24 * min(wide / 0.62, 1.6)
     margin = max(WIDTH / (2 * count), wide / 2)
     x = np.linspace(margin, WIDTH - margin, count)
     dots = np.column_stack([x, -(np.array(values) - low) / (high - low)])
@@ -546,10 +546,10 @@ def log_sheet(
         for second in ticks(start_s, start_s + width_s, 5 if width == WIDTH else 3)
     ]
     log_grid(stream, sheet, width, rows, marks)
-    log_dots(stream, f"{sheet}/observed", points[0], [OBSERVED], 1.2)
+    log_dots(stream, f"{sheet}/observed", points[0], [OBSERVED], 1.5)
     if fitted is not None:
-        log_strips(stream, f"{sheet}/fit", points[-1:], [fitted[1]], 0.9)
-    style = rr.LineStrips2D.from_fields(radii=screen_radius(1.4), draw_order=40.0)
+        log_strips(stream, f"{sheet}/fit", points[-1:], [fitted[1]], 0.6)
+    style = rr.LineStrips2D.from_fields(radii=screen_radius(1.2), draw_order=40.0)
     log_by_iteration(
         stream,
         f"{sheet}/simulated",
@@ -576,7 +576,7 @@ KEY_SHARES = (0.6, 8.0)  # heights of a key and of what is below it
 def log_key(
     stream: rr.RecordingStream, entries: Sequence[tuple[str, Sequence[Color]]], entity: str = "key"
 ) -> rrb.View:
-    """Log a legend of each entry's text and line colours, and return its view."""
+    """Log a legend of each entry's text and line colours, and return a view of it."""
     strips, colors = [], []
     for entry, (_, line_colors) in enumerate(entries):
         width = 0.3 / len(line_colors)  # of what an entry takes up
@@ -587,11 +587,16 @@ def log_key(
     log_strips(stream, f"{entity}/lines", strips, colors, 2.0)
     places = [[float(entry), 0.02] for entry in range(len(entries))]
     log_labels(stream, f"{entity}/words", places, [text for text, _ in entries])
+    return key_view(len(entries), entity)
+
+
+def key_view(count: int, entity: str = "key") -> rrb.View:
+    """Return another view of a legend of so many entries: a view shows in one container alone."""
     return rrb.Spatial2DView(
         origin=f"/{entity}",
         name="key",
         titlebar=False,
-        visual_bounds=rrb.VisualBounds2D(x_range=(-0.5, len(entries) - 0.5), y_range=(-0.06, 0.18)),
+        visual_bounds=rrb.VisualBounds2D(x_range=(-0.5, count - 0.5), y_range=(-0.06, 0.18)),
     )
 
 

@@ -50,7 +50,7 @@ def write_overview(columns: Columns, path: Path) -> None:
             views.append(_log_values(*chart, logs, verdicts, values[name], ends, unlike[name]))
         misfit = _numbers(columns.get(_MISFIT, [None] * len(logs)))
         if np.isfinite(misfit).any():
-            chart = recording, "misfit", "misfit beyond the noise [%]"
+            chart = recording, "misfit", "misfit [%]"  # beyond the noise; a longer tab would be cut
             none = np.full((len(logs), 2), np.nan)
             views.append(
                 _log_values(*chart, logs, verdicts, misfit, none, np.zeros(len(logs), bool))
@@ -180,7 +180,10 @@ def _summary(
     for name in names:
         known = values[name][np.isfinite(values[name])]
         low, middle, high = map(number_words, np.percentile(known, (5, 50, 95)).tolist())
-        lines += [f"## {said[name]}", f"median {middle}; 90 % from {low} to {high}"]
+        spread = f"median {middle}; 90 % from {low} to {high}"
+        if len(known) < 3:
+            spread = " and ".join(number_words(float(value)) for value in np.sort(known))
+        lines += [f"## {said[name]}", spread]
         which = np.flatnonzero(unlike[name])
         if len(which):
             told = ", ".join(

@@ -83,7 +83,6 @@ def write_shots(plan: Plan, path: Path) -> None:
         count = np.count_nonzero(passing)
         lines.append(f"{count} of {len(plan.heights_m)} heights pass without touching the rim")
         lines += [f"- {one_line(warning)}" for warning in plan.warnings]
-        lines.append("yellow: the best; green: passes; red: touches the rim; grey: misses")
         draw.log_words(stream, "result", "\n\n".join(lines))
         stream.send_blueprint(_shot_blueprint(plan))
 
@@ -145,8 +144,9 @@ def _shot_blueprint(plan: Plan) -> rrb.Blueprint:
     middle = np.array([rig.hoop.forward_m / 2, 0.0, (rig.release.highest_m + rig.hoop.up_m) / 2])
     size = max(rig.release.highest_m - rig.hoop.up_m, rig.hoop.forward_m) + 0.2
     eye = middle + size * np.array([0.25, -1.05, 0.2])
-    scene = draw.scene_view("shots", eye, middle, "/shots")
-    title = "miss [mm] by release height [m]: + beyond the hoop's centre, - short of it"
+    title = "shots: yellow the best, green passes, red touches the rim, grey misses"
+    scene = draw.scene_view(title, eye, middle, "/shots")
+    title = "miss [mm] by release height [m], + is beyond the centre"
     right = rrb.Vertical(
         rrb.TextDocumentView(origin="/result", name="result"),
         draw.chart_view("miss", title),
@@ -187,10 +187,10 @@ def log_verdict(stream: rr.RecordingStream, tuning: Tuning, record: Record) -> r
         parts.append(record.reason.partition("; at the next")[0])
     words = "   ".join(filter(None, parts)).replace("·", " ").replace("²", "2")
     words = words.encode("ascii", "replace").decode()
-    words = words if len(words) <= 90 else words[: 90 - 3] + "..."
+    words = words if len(words) <= 120 else words[: 120 - 3] + "..."
     # The strip: its verdict in large letters, then the words.
     color = VERDICT_COLORS[record.verdict]
-    width, height = 3600, 90
+    width, height = 5000, 90  # between the shapes of the strip on small and large screens
     strip = np.full((height, width, 3), color, np.uint8)
     left, base = height // 3, round(0.76 * height)
     word, font = record.verdict.upper(), cv2.FONT_HERSHEY_DUPLEX

@@ -41,11 +41,12 @@ from tunenet_logs.analysis.sysid.source import (
     SimulatorDetection,
     SimulatorSource,
     part_of,
+    with_joints,
 )
 from tunenet_logs.analysis.tunenet.network import Model, PairSet, Recipe, WideNetwork, train
 from tunenet_logs.analysis.tunenet.weights import Purpose, load_model, save_model
 from tunenet_logs.episode import Array, Episode, LeftOut
-from tunenet_logs.errors import TuneNetError
+from tunenet_logs.errors import LogError, TuneNetError
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.simulators.base import Parameter
 from tunenet_logs.terminal import Progress, told
@@ -310,7 +311,10 @@ def print_plan(log: Path, options: TuneOptions) -> None:
     """Print the plan, a line per signal and parameter."""
     assert options.source is not None
     parameters = options.source.parameters
-    episode = trim_clock_jumps(read_episode(log, options.reading))
+    try:
+        episode = trim_clock_jumps(read_episode(log, options.reading))
+    except LogError as error:
+        raise LogError(with_joints(str(error), options.source)) from error
     connected = options.source.connect(part_of(episode, options.start_s, options.end_s))
     print(f"{log}: {connected.target.end_s:.2f} s of {options.source.name}")
     for words in connected.used:

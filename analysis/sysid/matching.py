@@ -26,7 +26,7 @@ from tunenet_logs.recorders.simulators.model.rollout import (
     rotation_in,
 )
 from tunenet_logs.recorders.simulators.mujoco import mujoco
-from tunenet_logs.terminal import listed, short_name
+from tunenet_logs.terminal import listed, one_line, short_name
 
 # ---- Names of signals, and how they match a model's
 
@@ -567,11 +567,23 @@ class Match:
             if quantity_of(name)
             for column in signal.columns
         )
-        joints = listed(filter(None, self._names["joint"]), _FEW)
-        bodies = listed(filter(None, self._names["body"][1:]), _FEW)
+        every = {kind: [*filter(None, self._names[kind])] for kind in ("joint", "body")}
+        joints, bodies = listed(every["joint"], _FEW), listed(every["body"][1:], _FEW)
         seen = listed(of_log, _FEW) or listed(self._episode.signals, _FEW) or "nothing"
         raise NotFoundError(
             f"nothing of the log is in the model (log: {seen}; model: joints {joints or 'none'}, "
             f"bodies {bodies or 'none'})",
-            "say what is what with --map SIGNAL.COLUMN=joint/NAME or --map TOPIC=body/NAME",
+            self._example(every["joint"], every["body"][1:]),
         )
+
+    def _example(self, joints: Sequence[str], bodies: Sequence[str]) -> str:
+        """Return an order that names the log's own signals and the model's own parts."""
+        for name, signal in self._episode.signals.items():
+            if quantity_of(name) and joints:
+                example = f"--map {name}.{signal.columns[0]}=joint/{joints[0]}"
+            elif not quantity_of(name) and bodies:
+                example = f"--map {name}=body/{bodies[0]}"
+            else:
+                continue
+            return f"say what is what, for example {one_line(example)}"
+        return "record the joints' positions or torques, their commands, or poses of bodies"

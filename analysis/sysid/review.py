@@ -250,9 +250,8 @@ def log_held_out(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.C
         markdown_table(head, rows),
     ]
     draw.log_words(stream, "held_out_words", "\n\n".join(words))
-    charts = rrb.Grid(*views, grid_columns=2 if len(views) > _ONE_COLUMN else 1)
     return rrb.Horizontal(
-        rrb.Vertical(key, charts, row_shares=draw.KEY_SHARES),
+        rrb.Vertical(key, rrb.Vertical(*views), row_shares=draw.KEY_SHARES),
         rrb.TextDocumentView(origin="/held_out_words", name="prediction"),
         column_shares=[3, 1.6],
         name=f"held-out prediction (timeline {draw.LOG_TIME})",
@@ -365,8 +364,7 @@ def log_scene(
         _log_motion(stream, "observed", scene, observed, draw.OBSERVED, is_solid=True)
     _log_motion(stream, "simulated", scene, simulated, result.color, is_solid=False)
     _log_points(stream, sensed, moments, start_ns, at_s)
-    rest = "" if is_whole else ", the rest as simulated"
-    title = f"white: seen{rest}; warm: tuned"
+    title = f"white: seen{'' if is_whole else ' in part'}; warm: tuned"
     title = "the tuned model, dots: as observed" if observed is None else title
     # Across the motion, by default on the side of -y, and a little aside.
     normal = np.linalg.svd(np.cov(corners.T))[2][2]
@@ -618,22 +616,25 @@ def log_simulator(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     entries: list[tuple[str, list[draw.Color]]] = [("observed", [draw.OBSERVED]), _iterations(data)]
     if data.held_out_s is not None:
         entries.append((f"{data.held_out_s:.2f} s: held out", [draw.MUTED]))
+    key = draw.log_key(stream, entries)
     overlay = rrb.Vertical(
-        draw.log_key(stream, entries),
+        key,
         rrb.Vertical(*main),  # one time axis above the other, and wide enough for ticks
         row_shares=draw.KEY_SHARES,
     )
     scene = log_scene(stream, tuning, data)
     parts: list[rrb.View | rrb.Container] = [] if scene is None else [scene]
     parts += [overlay, draw.result_view()]
-    shares = [6.0, 4.6] if scene is None else [3.3, 6.6, 4.6]
+    shares = [6.0, 4.6] if scene is None else [3.8, 6.4, 4.4]
     tabs: list[rrb.Container] = [
         rrb.Horizontal(*parts, column_shares=shares, name=f"overlay (timeline {draw.LOG_TIME})")
     ]
     if others:
         more = f", {data.left_out} more are not drawn" if data.left_out else ""
         name = f"other signals{more} (timeline {draw.LOG_TIME})"
-        tabs.append(rrb.Grid(*others, grid_columns=_across(len(others)), name=name))
+        grid = rrb.Grid(*others, grid_columns=_across(len(others)))
+        key = draw.key_view(len(entries))
+        tabs.append(rrb.Vertical(key, grid, row_shares=draw.KEY_SHARES, name=name))
     left_view = draw.log_key(
         stream,
         [_iterations(data), (f"± {_BAND:g} standard deviations of the noise", [draw.OBSERVED])],
@@ -649,8 +650,8 @@ def log_simulator(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
 
 
 def _across(count: int) -> int:
-    """Return the columns of a grid of so many charts."""
-    return int(np.ceil(np.sqrt(count * 0.8)))
+    """Return the columns of a grid of so many charts, wide enough for ticks of time."""
+    return max(round(math.sqrt(count * 0.7)), 1)
 
 
 def _log_plots(

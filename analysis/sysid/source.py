@@ -29,7 +29,7 @@ from tunenet_logs.recorders.simulators.model.rollout import (
     seen_in_world,
 )
 from tunenet_logs.recorders.simulators.mujoco import mujoco
-from tunenet_logs.terminal import one_line, short_name
+from tunenet_logs.terminal import listed, one_line, short_name
 
 if TYPE_CHECKING:
     from tunenet_logs.recorders.simulators.model.parameters import ModelParameter
@@ -288,6 +288,24 @@ class ModelSource:
 
 
 SimulatorSource = GivenSimulator | ModelSource
+
+
+def with_joints(reason: str, source: Any) -> str:
+    """Say of a table's columns that tell nothing how a model's are named, not a ball's."""
+    what, asks, _ = reason.partition("; say which they are")
+    if not asks or not isinstance(source, ModelSource):
+        return reason
+    from tunenet_logs.recorders.simulators.model.parameters import element_names
+
+    joints = [name for name in element_names(source.model, "joint") if name]
+    if not joints:
+        return reason
+    first = joints[0]
+    return (
+        f"{what}; name them by the model's joints ({listed(joints, 8)}): "
+        f"t,position_{first},effort_{first}, or --columns t=...,position_1=..., then --map "
+        f"joints.position.joint1=joint/{first}"
+    )
 
 
 def part_of(episode: Episode, start_s: float | None, end_s: float | None) -> Episode:

@@ -98,9 +98,10 @@ class _HttpFeed:
 def open_http(address: Address, timeout_s: float, trust: network.Trust) -> Source:
     """Open the video that a camera serves over HTTP."""
     # User and password in the address are sent when the camera asks for them, and go nowhere else.
-    deadline = network.Deadline.opening(timeout_s)
+    deadline = network.Deadline.opening()
     with network.answering(address.shown, deadline):
         answer = answer_of(address, trust, deadline)
+    deadline.await_pictures(timeout_s)
     feed = TimedFeed(_HttpFeed(answer), deadline, timeout_s)
     if answer.headers.get_content_maintype() == "multipart":
         # What separates the parts, with quotes or without; a thousand characters are enough.

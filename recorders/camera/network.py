@@ -87,9 +87,14 @@ class Deadline:
         self.renew(whole_s)
 
     @classmethod
-    def opening(cls, silence_s: float) -> Deadline:
+    def opening(cls) -> Deadline:
         """Return the deadline for redirections, login and headers together."""
-        return cls(silence_s, max(OPENING_S, silence_s))
+        return cls(OPENING_S, OPENING_S)
+
+    def await_pictures(self, silence_s: float) -> None:
+        """Wait from now on, when it has answered, for pictures between such silences."""
+        self.silence_s = silence_s
+        self.renew(longest_begin_s(silence_s))
 
     def renew(self, whole_s: float) -> None:
         """Restart the wait."""
@@ -187,7 +192,13 @@ class Trust:
 
 # ---- Connection: plain or TLS; errors begin with the camera's address
 
-OPENING_S = 10.0  # until a camera has opened, unless the user allows a longer silence
+OPENING_S = 10.0  # until a camera has answered
+
+
+def longest_begin_s(silence_s: float) -> float:
+    """Return how long what has answered may take to its first picture [s]."""
+    return max(OPENING_S, silence_s)
+
 
 # Status codes, of HTTP and RTSP, of a server that is starting or overloaded: worth another try.
 _PASSING = (404, 408, 425, 429, 453, 500, 502, 503, 504)

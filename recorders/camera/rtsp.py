@@ -671,9 +671,10 @@ class RtspStream(PacketStream):
         from av.error import FFmpegError
 
         logging.set_level(None)  # errors come as exceptions
-        deadline = Deadline.opening(timeout_s)
+        deadline = Deadline.opening()
         with answering(address.shown, deadline):
             client = RtspClient(address, deadline, trust, transport)
+        deadline.silence_s = timeout_s
         # None falls back to UDP where the camera refuses TCP.
         self._transport = "udp" if client.ports else "tcp"
         self._relay = RtspRelay(client, timeout_s)

@@ -21,6 +21,7 @@ from tunenet_logs.recorders.camera.network import (
     NetworkOptions,
     answering,
     camera_address,
+    longest_begin_s,
     with_scheme,
 )
 from tunenet_logs.recorders.camera.options import CameraOptions
@@ -95,7 +96,12 @@ def _http(text: str, asked: CameraOptions, network: NetworkOptions) -> Source:
     from tunenet_logs.recorders.camera.http import open_http
 
     address = network.known(camera_address(text))
-    return _opened(address.shown, asked, lambda: open_http(address, asked.stall_s, network.trust))
+    return _opened(
+        address.shown,
+        asked,
+        lambda: open_http(address, asked.stall_s, network.trust),
+        longest_begin_s(asked.stall_s),  # of what has no parts, the first bytes tell what it is
+    )
 
 
 def _rtsp(text: str, asked: CameraOptions, network: NetworkOptions) -> Source:
@@ -111,9 +117,10 @@ def _rtsp(text: str, asked: CameraOptions, network: NetworkOptions) -> Source:
 
 
 def _bytes(text: str, asked: CameraOptions, _network: NetworkOptions) -> Source:
+    begin_s = longest_begin_s(asked.stall_s)
+
     def opened() -> Source:
-        deadline = Deadline.opening(asked.stall_s)
-        deadline.silence_s = deadline.whole_s  # the program that sends may have to start
+        deadline = Deadline.opening()
         shown, live, scheme = text, True, scheme_of(text)
         feed: ByteFeed
         if scheme == "tcp":
@@ -126,15 +133,16 @@ def _bytes(text: str, asked: CameraOptions, _network: NetworkOptions) -> Source:
         else:
             feed = pipe = PipeFeed(text, deadline)
             shown, live = pipe.shown, pipe.is_written_to
+        deadline.await_pictures(begin_s)  # the program that sends may have to start
         source = stream_of(TimedFeed(feed, deadline, asked.stall_s), shown, live=live)
         deadline.silence_s = asked.stall_s
         return source
 
-    return _opened(text, asked, opened)
+    return _opened(text, asked, opened, begin_s)
 
 
 def _opened(
-    shown: str, asked: CameraOptions, opening: Callable[[], Source], more_s: float = 0.0
+    shown: str, asked: CameraOptions, opening: Callable[[], Source], more_s: float
 ) -> Source:
     """Open a network or piped source, transcoded where asked, or where no log holds its codec."""
 
@@ -145,7 +153,7 @@ def _opened(
         return source
 
     # 5 s more are for name servers, and for the source's own, clearer error.
-    longest_s = Deadline.opening(asked.stall_s).whole_s + more_s + 5.0
+    longest_s = Deadline.opening().whole_s + more_s + 5.0
     return opened_within(longest_s, shown, opened)
 
 

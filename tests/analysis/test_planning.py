@@ -17,6 +17,7 @@ from tests.analysis.review.stored import verified
 from tests.conftest import Command
 from tunenet_logs.analysis.planning import (
     KnownBall,
+    expected_shot,
     plan_shot,
     read_tuning,
     signed_gap_m,
@@ -124,6 +125,22 @@ def test_heights_are_judged_beyond_the_reach(reach: tuple[float, float], shots: 
     nearest = lifts[fails & (lifts < 0)].max(), lifts[fails & (lifts > 0)].min()
     assert np.array(best.heights_m) - best.height_m == pytest.approx(nearest, abs=0.002)
     assert best.margin > 3
+
+
+def test_the_shot_that_was_planned_is_expected_where_the_plan_says():
+    ball = told_ball(0.74, 0.08, 0.004, 0.03)
+    planned = plan_shot(RIG, ball)
+    assert planned.best is not None
+    shot = expected_shot(RIG, ball, planned.best.height_m)
+    assert abs(shot.offset_m[0]) == pytest.approx(planned.best.miss_m, abs=1e-4)
+    assert shot.is_through
+    least, greatest = shot.offset_m[1:].tolist()
+    assert least < shot.offset_m[0] < greatest
+    # As far apart as rebounds of 1.96 standard deviations less and more.
+    sd = ball.sd_at(planned.best.impact_m_s)
+    ends = [told_ball(0.74 + side * 1.96 * sd, 0.08, 0.004, 0.03) for side in (-1, 1)]
+    far = [expected_shot(RIG, one, planned.best.height_m).offset_m[0] for one in ends]
+    assert [least, greatest] == pytest.approx(far, abs=1e-3)
 
 
 def test_a_robot_that_keeps_heights_badly_takes_the_middle_of_those_that_pass():

@@ -229,6 +229,15 @@ def silent(_caller: socket.socket, ended: threading.Event, _number: int) -> None
     ended.wait(LAST_RESORT_S)
 
 
+@pytest.mark.parametrize("scheme", ["http", "rtsp", "https", "rtsps"])
+def test_a_camera_that_does_not_answer_is_not_waited_for_as_long_as_one_may_be_silent(
+    monkeypatch: pytest.MonkeyPatch, scheme: str
+):
+    monkeypatch.setattr(OPENING_S[0], 0.5)
+    with serving(silent) as server, pytest.raises(CameraError, match=r"answer within 0\.5 s"):
+        open_source(f"{scheme}://{server.place}/video", CameraOptions(stall_s=LAST_RESORT_S))
+
+
 @pytest.mark.parametrize("scheme", ["http", "rtsp", "https", "rtsps", "-"])
 def test_ctrl_c_while_a_camera_is_opened(tmp_path: Path, scheme: str):
     with serving(silent) as server:

@@ -128,6 +128,8 @@ ROWS = "".join(f"{n},1\n" for n in range(94))
          "are 1: 0 to 1, 2: 1.9 to 1.6, 3: 2 to 0.02; say which they are, for example --columns "
          "t=1,z=2"),
         ("0,1\n1,2\n", "", "perhaps --columns t=1,z=2"),
+        ("0.1\n0.5\n0.7\n", "", "times=1 for times of impacts.*, or --columns z=1 --fps F"),
+        ("z_mm\n3\n2\n1\n", "", "'z_mm' would be taken as positions.*--columns z=z_mm --fps F"),
         ("0 1 2 3\n1 2 3 4\n", "", "perhaps --columns t=1,x=2,y=3,z=4"),
         ("x,y,z\n1,2,3\n", "", r"none of its columns is a time .*\('x', 'y', 'z'\).*add a column"),
         ("Aika;Pään (cm)\n1;2\n", "", r"--columns t=Aika,z='Pään \(cm\)'"),

@@ -27,6 +27,7 @@ UMBRELLA = Path(sys.executable).with_name("tunenet")
         ("MJPEG stream latency timestamps", "camera"),
         ("beside lerobot and its rerun version", "install"),
         ("tune many logs on a cluster", "scale"),
+        ("csv columns", "formats"),
     ],
 )
 def test_the_first_page_that_is_found_answers(question: str, page: str, capsys):

@@ -127,7 +127,7 @@ def log_good_drop(stream: rr.RecordingStream) -> rrb.View:
         stream, "sheets/good/height", [np.column_stack([across, -heights])], [draw.SUCCESS], 1.2
     )
     said = {  # times and heights of words
-        -1.2: (1.03, "still in the hand"),
+        -1.2: (1.1, "still in the hand"),
         0.2: (0.75, "falls in view"),
         3.2: (0.45, "bounces in view until it lies still"),
     }
@@ -148,6 +148,9 @@ _MAX_LETTERS = 40  # of a signal's name in a title
 def log_refused_heights(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
     """Send the likeliest signals' heights, and the sound beside; None without positions."""
     found = recorded_heights(tuning.episode, _MAX) if tuning.episode else []
+    # What --start and --end left to be searched.
+    named = tuning.provenance.options if tuning.provenance else {}
+    begin_s, end_s = float(named.get("start_s", -np.inf)), float(named.get("end_s", np.inf))
     views: list[rrb.View] = []
     for number, one in enumerate(found):
         entity = f"sought/{number}"
@@ -155,18 +158,20 @@ def log_refused_heights(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Conta
         style = "height", draw.OBSERVED, size
         draw.log_marks(stream, f"{entity}/height", *style, one.seconds, one.heights)
         at = np.array(one.impacts, np.intp)
+        at = at[(one.seconds[at] >= begin_s) & (one.seconds[at] <= end_s)]
         style, marks = ("impact?", draw.IMPACT, 6.0), (one.seconds[at], one.heights[at])
         draw.log_marks(stream, f"{entity}/impact", *style, *marks, "diamond")
         unit = "" if one.signal.unit == UNSTATED else f" [{one.signal.unit}]"
         name = short_name(one.signal.name, _MAX_LETTERS)
         said = f"red: {len(at)} that may be impacts" if len(at) else "nothing looks like an impact"
         said += "" if one.is_free else ", no free fall"
-        views.append(draw.plot_view(entity, f"height of {name}{unit}: {said}"))
+        ends_s = max(begin_s, float(one.seconds[0])), min(end_s, float(one.seconds[-1]))
+        views.append(draw.plot_view(entity, f"height of {name}{unit}: {said}", shown_s=ends_s))
     if not views:
         return None
     sound = sound_of(tuning.episode)
     if sound is not None:
-        span_s = float(found[0].seconds[0]), float(found[0].seconds[-1])
+        span_s = max(begin_s, float(found[0].seconds[0])), min(end_s, float(found[0].seconds[-1]))
         begin_s = (sound.start_ns - int(found[0].signal.stamps_ns[0])) * 1e-9
         knocks_s = onsets(sound).times_s + begin_s
         knocks_s = knocks_s[(knocks_s >= span_s[0]) & (knocks_s <= span_s[1])]

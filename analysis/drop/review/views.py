@@ -231,7 +231,7 @@ def log_bounces(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
             caps = [[[at - _CAP, end], [at + _CAP, end]] for end in (bottom, top)]
             strips += [[[at, bottom], [at, top]], *caps]
         if all(abs(at - place[0]) > 0.55 for place, _ in figures):  # or they would overlap
-            figures.append(([at, top - 0.2], f"{bounce.restitution:.3f}"))
+            figures.append(([at, top - 0.24], f"{bounce.restitution:.3f}"))
     places, texts = [place for place, _ in figures], [text for _, text in figures]
     draw.log_labels(stream, "sheets/bounces/figures", places, texts, [color])
     draw.log_strips(stream, "sheets/bounces/intervals", strips, [color], 0.9, 15.0)
@@ -584,7 +584,9 @@ def log_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         (begin_s, end_s),
         rrb.PlotLegend(rrb.Corner2D.RightTop),
     )
-    title = "impacts: simulated - heard [ms], grey: the times' jitter"
+    title = "impacts: simulated - heard [ms], grey: jitter"
+    if heard.scatter > 0:  # which adds up from one to the next
+        title += f"; each bounce varies by {100 * heard.scatter:.2g} %"
     span = draw.ticked(-reach_ms, reach_ms)
     residual_view = draw.plot_view("residual", title, span, (begin_s, end_s))
     result = draw.result_view()
@@ -648,7 +650,7 @@ def log_drop(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         overlay = rrb.Horizontal(video, curves, result, column_shares=[share, 3, 3], name=name)
     scrub = rrb.Horizontal(
         rrb.Vertical(height_chart, _log_residuals(stream, data), row_shares=[3, 2]),
-        rrb.Vertical(step, *charts, row_shares=[3.6, *[2.8] * len(charts)]),
+        rrb.Vertical(step, *charts, row_shares=[2.4, *[3.2] * len(charts)]),
         column_shares=[5, 4],
         name=draw.SCRUB,
     )
@@ -673,7 +675,10 @@ def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, 
     draw.log_marks(stream, "height/impact", *impacts, data.impacts_s, at_0, "diamond")
     title = "height [m]: observed white, iterations cold to warm"
     span = draw.ticked(0.0, 1.05 * data.drop_height_m)
-    height_view = draw.plot_view("height", title, span, data.shown_s)
+    # With room for what is marked at either end.
+    more_s = 0.006 * (data.shown_s[1] - data.shown_s[0])
+    shown_s = data.shown_s[0] - more_s, data.shown_s[1] + more_s
+    height_view = draw.plot_view("height", title, span, shown_s)
     most_percent = DROP["simulation fits"].limit.value
     # Between the limits a difference cannot be seen with the eye.
     limit_mm = 1000 * most_percent / 100 * data.drop_height_m
@@ -688,7 +693,7 @@ def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, 
     plain = f"{float(f'{limit_mm:.2g}'):.10g}"  # two significant digits and no power of ten
     title = f"simulated - observed [mm], red: ±{plain} is {most_percent:g} %"
     span = draw.ticked(-reach_mm, reach_mm)
-    return height_view, draw.plot_view("residual", title, span, data.shown_s)
+    return height_view, draw.plot_view("residual", title, span, shown_s)
 
 
 _REST = "rests"  # or hops a hundredth as high as the first
@@ -706,9 +711,17 @@ def _log_phases(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
     if begins["falls"] <= data.shown_s[0]:
         del begins["in the hand"]
     colors = {"in the hand": _HELD, "falls": _FALLS, _REST: _HELD}
+    # Numbers, and no words where they would be cut: a letter takes up a 60th of the strip.
+    labels = [name.removeprefix("flight ") for name in begins]
+    lasts_s = np.diff([*begins.values(), float(data.observed.seconds[-1])])
+    letter_s = (float(data.observed.seconds[-1]) - data.shown_s[0]) / 60
+    labels = [
+        name if name.isdigit() or lasts > letter_s * len(name) else " "
+        for name, lasts in zip(labels, lasts_s.tolist(), strict=True)
+    ]
     style = rr.StateConfiguration(
         values=list(begins),
-        labels=[name.removeprefix("flight ") for name in begins],  # short ones are not cut
+        labels=labels,
         colors=[colors.get(name, _FLIES[number % 2]) for number, name in enumerate(begins)],
     )
     seconds = np.array(list(begins.values()))
@@ -767,7 +780,7 @@ def _log_residuals(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
     none = np.zeros(len(seconds))
     drawn = stream, "sheets/residuals", seconds, none, shown_mm, colors
     draw.log_sheet(*drawn, (-reach_mm, reach_mm), first_s=data.shown_s[0])
-    return draw.chart_view("residuals", "simulated - observed [mm]")
+    return draw.chart_view("residuals", "simulated - observed [mm], along the border: beyond it")
 
 
 def _log_heights(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, rrb.View]:
@@ -802,13 +815,14 @@ def _log_heights(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View
     for curve in data.residuals:
         inside = (curve.seconds >= data.release_s) & (curve.seconds <= data.shown_s[1])
         rms_mm = 1000 * float(np.sqrt(np.mean(curve.heights_m[inside] ** 2)))
-        figures = [
-            (quantity(name.replace("_", " "), "1/m" if name == "drag" else "1"), f"**{value:.4f}**")
-            for name, value in curve.values.items()
+        head = [
+            quantity(name.replace("_", " "), "1/m" if name == "drag" else "1")
+            for name in curve.values
         ]
-        table = markdown_table(("parameter", "value"), figures)
+        figures = (f"**{value:.4f}**" for value in curve.values.values())
+        table = markdown_table(("", *head), [(curve.name, *figures)])
         off = f"{rms_mm:.2f} mm rms from the observed curve, from the release to the last bounce"
-        words.append("\n\n".join([f"# {curve.name}", table, off]))
+        words.append(f"{table}\n\n{off}")
     title = "height above the table: observed (dots), simulated (line)"
     view = draw.chart_view("heights", title, wide)
     return view, draw.log_steps(stream, words, data.shown_s[0])

@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.analysis.campaign import campaigns
@@ -86,14 +87,14 @@ def drawn(review: Stored, lane: str, timeline: str) -> list[str]:
 def test_the_lanes_say_what_happened(review: Stored):
     lanes = {lane: drawn(review, lane, "attempt")[:3] for lane in STATES}
     assert lanes["/ball"] == ["gel, 1", "gel, 2", "red gel, 3"]
-    assert lanes["/drop"] == ["drop", "drop again", "rejected drop"]
+    assert lanes["/drop"] == ["drop", "drop again", "rejected"]
     first, second, third = lanes["/restitution"]
     assert float(first) == pytest.approx(0.7, abs=0.01)
     assert float(second) == pytest.approx(0.72, abs=0.01)
     assert third == "not tuned"
     assert lanes["/shot"] == ["success", "failure", "given up"]
     played = drawn(review, "/drop", "film_s")
-    assert played == ["drop", "rejected drop", "drop again", "rejected drop", ""]
+    assert played == ["drop", "rejected", "drop again", "rejected", ""]
     played = drawn(review, "/shot", "film_s")
     assert played == ["", "shot", "success", "", "shot", "failure", "", "given up", ""]
     assert len(rows(review, "/shot", "wall_clock", STATE)) == 3
@@ -142,6 +143,44 @@ def test_a_log_that_cannot_be_read_is_named_and_is_no_attempt(command: Command, 
     assert "nothing kept: 1" in told.stderr
     assert "0.85" in told.stdout
     verified(output)
+
+
+def test_a_shot_is_drawn_as_expected_beside_where_it_came_down(tmp_path: Path):
+    campaigns.drop(tmp_path / "drop_1.mcap")
+    (tmp_path / "rig.yaml").write_text("hoop: {forward_m: 0.45}\n")
+    named = {"drop_log": "drop_1.mcap"}
+    campaigns.outcome(tmp_path, 1, shot_height_m=0.335, miss_m=-0.02, success=False, **named)
+    campaigns.outcome(tmp_path, 2, shot_height_m=1e9, **named)  # no height of a robot
+    campaigns.outcome(tmp_path, 3, shot_height_m=0.3, task="another", **named)
+    review = reviewed(tmp_path)
+    expected = rows(review, "/sheets/shot/expected", "attempt", "LineStrips2D:strips")
+    assert [len(strips) for _, strips in expected] == [3, 0, 0]
+    down = rows(review, "/sheets/shot/happened", "attempt", "Points2D:positions")
+    assert [len(places) for _, places in down] == [1, 0, 0]
+    assert down[0][1][0] == pytest.approx([0.43, 0.1])  # short of the hoop; y points down
+    # The likeliest path, drawn last, begins at its highest and comes down where it is told.
+    path = np.array(expected[0][1][-1])
+    assert path[0, 1] == pytest.approx(path[:, 1].min())
+    crossed = np.flatnonzero((path[1:, 1] > 0.1) & (path[:-1, 1] <= 0.1))[-1]
+    share = (0.1 - path[crossed, 1]) / (path[crossed + 1, 1] - path[crossed, 1])
+    landed_m = path[crossed, 0] + share * (path[crossed + 1, 0] - path[crossed, 0]) - 0.45
+    (words,) = rows(review, *WORDS)[0][1]
+    (told,) = re.findall(r"expected: (\d+) mm (?:short of|beyond)", words)
+    assert abs(1000 * abs(landed_m) - float(told)) < 2
+
+
+def test_a_rig_that_cannot_be_read_draws_no_shot(command: Command, tmp_path: Path):
+    campaigns.outcome(tmp_path, 1, shot_height_m=0.3, tuned_parameter=0.7)
+    (tmp_path / "my_rig.yaml").write_text("hoop: {forward_m: far}\n")
+    (tmp_path / "other.yaml").write_text("nothing: of a rig\n")
+    words = ("tunenet-review", tmp_path, "-o", tmp_path / "a.rrd", "--quiet", "--jobs", 1)
+    done = command(*words)
+    assert done.returncode == 0
+    assert "my_rig.yaml: hoop.forward_m far is not a number; no shot is drawn by it" in done.stderr
+    assert "/sheets/shot/expected" not in Stored(tmp_path / "a.rrd").entities
+    done = command(words[0], tmp_path / "my_rig.yaml", *words[1:], "--overwrite")
+    assert done.returncode == 2
+    assert "hoop.forward_m" in done.stderr
 
 
 def test_outcomes_alone_are_a_campaign(command: Command, tmp_path: Path):

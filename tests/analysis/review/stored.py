@@ -88,7 +88,10 @@ class Stored:
             columns = chunk.to_record_batch().to_pydict()
             own = self._settings.setdefault(str(chunk.entity_path), {})
             own |= {name.split(":")[-1]: cells[-1] for name, cells in columns.items()}
+        self._places: list[str] = []  # of views, as often as a container has them
         self.views = tuple(self._views())
+        # Those of several containers: Rerun fills them in one alone.
+        self.shown_twice = [one for one in self._places if self._places.count(one) > 1]
 
     def _add(self, chunk: Any) -> None:
         batch = chunk.to_record_batch()
@@ -170,6 +173,7 @@ class Stored:
         own = self._settings[f"/{place}"]
         name = (own.get("display_name") or [""])[0]
         if place.startswith("view/"):
+            self._places.append(place)
             (kind,) = own["class_identifier"]
             yield View(kind, name, tabs, self._contents(place, own), *self._ranges(place))
             return

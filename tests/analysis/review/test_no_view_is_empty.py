@@ -110,7 +110,8 @@ def campaign_of_drops(folder: Path) -> Path:
 
 
 def campaign_of_everything(folder: Path) -> Path:
-    """Filmed, filmed and rejected, not filmed, after a rejected drop, no drop at all."""
+    """Filmed, filmed and rejected, not filmed, after a rejected drop, no drop at all; a rig."""
+    (folder / "rig.yaml").write_text("")
     order = {"height_m": 1.0, "hold_s": 0.2, "seed": 5}
     film(folder / "drop_1.mcap", restitution=0.7, seconds=2.0, **order)
     film(folder / "drop_2.mcap", restitution=0.7, seconds=0.45, **order)
@@ -119,6 +120,7 @@ def campaign_of_everything(folder: Path) -> Path:
     campaigns.drop(folder / "drop_4b.mcap", 0.72)
     for number, drop in enumerate(["drop_1", "drop_2", "drop_3", "drop_4b", None], 1):
         said = {} if drop is None else {"drop_log": f"{drop}.mcap", "miss_m": 0.01 * number}
+        said |= {"shot_height_m": 0.3} if number in (1, 3) else {}
         campaigns.outcome(folder, number, success=number % 2 == 1, **said)
     return campaign_in(folder)
 
@@ -160,7 +162,9 @@ MAKERS: tuple[Make, ...] = (
 @pytest.mark.parametrize("make", MAKERS, ids=lambda make: make.__name__)
 def test_every_view_has_data_at_every_stop(make: Make, tmp_path: Path):
     path = make(tmp_path)
-    assert len(Stored(path).views) > 1
+    review = Stored(path)
+    assert len(review.views) > 1
+    assert review.shown_twice == []
     assert empty_views(path) == []
 
 

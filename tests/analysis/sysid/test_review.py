@@ -173,7 +173,7 @@ def test_a_free_body_is_where_it_was_seen(tmp_path: Path):
     places = np.column_stack([0 * seconds, 0 * seconds, 1 - 9.81 * seconds**2 / 2])
     tuning = tune_episode(places_of("ball", places, seconds), TuneOptions(source=source))
     title, entities = scene_of(tuning, tmp_path)
-    assert title == "white: seen, the rest as simulated; warm: tuned"
+    assert title == "white: seen in part; warm: tuned"
     assert {"/scene/points/0", "/scene/observed/body_1/ellipsoid"} <= entities
 
 

@@ -253,7 +253,9 @@ def test_what_matches_nothing_names_both_sides():
     with pytest.raises(NotFoundError) as caught:
         match(signal("/joint_states.position", ("j1", "j2")))
     assert "log: j1, j2; model: joints shoulder, elbow, block, bodies upper" in str(caught.value)
-    assert "--map" in str(caught.value.remedy)
+    key, _, target = caught.value.remedy.partition("--map ")[2].partition("=")
+    offered = match(signal("/joint_states.position", ("j1", "j2")), told={key: target})
+    assert "/joint_states" in "".join(offered.used)
     with pytest.raises(NotFoundError, match="log: nothing"):
         match()
     with pytest.raises(UsageError, match="no position in m"):  # pixels are no metres

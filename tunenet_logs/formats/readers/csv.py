@@ -432,14 +432,24 @@ class _Before:
             return f"has no line that names its columns; {offer_by_number(row, rest, separator)}"
         numbers = [text for text in self._texts if _is_number(text, None)]
         if row is None and len(numbers) * 2 > len(self._texts):
-            return (
-                f"holds one column of numbers ({numbers[0][:20]} to {numbers[-1][:20]}); if they "
-                "are times of impacts [s], say so with --columns times=1"
-            )
+            return _one_column(self._texts, numbers)
         nothing = "no line names a column of times"
         what = nothing if self._texts else "has no line that names its columns"
         examples = "t,x,y,z or time_ms;height_mm or t,joint1_effort,joint1_position"
         return f"{what}; put one on top, for example {examples}"
+
+
+def _one_column(texts: Sequence[str], numbers: Sequence[str]) -> str:
+    """Say what a column that has no other beside it would be taken as, and how to say so."""
+    name = next((text.strip() for text in texts if text not in numbers), "")
+    meaning = meaning_of(name) if name else None
+    place = _quoted([name], 0) if name else "1"
+    what = f"holds one column of numbers ({numbers[0][:20]} to {numbers[-1][:20]}) without times"
+    rate = f"--columns z={place} --fps F"
+    if isinstance(meaning, CoordinateColumn):
+        return f"{what}; {name[:40]!r} would be taken as positions: say their rate, {rate}"
+    times = f"--columns times={place}"
+    return f"{what}; say what they are: {times} for times of impacts [s], or {rate} for heights"
 
 
 def _unusable(plan: ColumnPlan) -> str:
