@@ -1169,28 +1169,31 @@ def _find_fit(whole: BounceSamples) -> tuple[FilmFit, list[int]]:
 
 # Speed from which on a ball moves [spans a fall time]: where it lies, its places agree too well.
 _MOVES = 0.1
-_SHADED = 1.25  # by which light and blur, which change along the way, widen a track's own noise
+_SHADED = 1.25  # by which light and blur widen a track's own noise: alike where the ball is near
 
 
 def _through_lens(fit: BounceFit) -> BounceFit:
     """Refit with the lens's distortion as an unknown: what is left is the track's own noise.
 
-    That is of the pictures in which the ball moves, and of as many as its unknowns leave free.
+    That is of the pictures in which the ball moves, and of as many as its unknowns leave free. A
+    contact that lasts is known too roughly for it.
     """
     samples = fit.samples
     noise_px = samples.noise * float(np.sqrt(1 - samples.distortion_variance_fraction))
     speeds = np.gradient(samples.positions + fit.residuals, samples.times(fit.unknowns))
     moves = np.abs(speeds) > _MOVES * float(fit.unknowns[SPAN])
     count = int(np.count_nonzero(moves))
-    if count < MIN_SAMPLES:
+    if count < MIN_SAMPLES or samples.is_soft:
         return fit
     for _ in range(2):
         left = max(count - len(fit.free), 0.25 * count)
-        own_px = scale_of(fit.residuals[moves], noise_px) * float(np.sqrt(count / left))
+        # What hangs together is no noise: a contact, light, or a way that no unknown is of.
+        together = correlation_time(fit.residuals, len(fit.free))
+        own_px = scale_of(fit.residuals[moves], noise_px) * float(np.sqrt(together * count / left))
         sharp = replace(
             samples,
             noise=min(_SHADED * own_px, samples.noise),
-            distortion_variance_fraction=0.0,
+            distortion_variance_fraction=1 - _SHADED**-2,
             through_lens=True,
         )
         fit = fit_bounce(sharp, fit.unknowns, sharp.unknowns, most=60, gain=1e-8)
