@@ -154,6 +154,7 @@ _NAMES = tuple(f"joint{number}" for number in range(1, _MAX_NAMES + 2))
 # Of the joints of a topic, as many as seven have in 25 minutes at 1 kHz: 268 MB.
 MAX_NUMBERS = 2**25
 # Name of an interface in ros2_control: a joint and what of it.
+_TURN = 3.0  # between two positions [rad or deg]: no joint moves so far from message to message
 _INTERFACE = re.compile(
     r"(.*[^/.])[/.](position|velocity|effort|acceleration|current|voltage|temperature|torque)"
 )
@@ -163,15 +164,16 @@ _NOTHING = array("d", [float("nan")] * _MAX_NAMES).tobytes()
 
 @dataclass(eq=False)
 class _Samples:
-    """Samples of one source, flat; of very many every second, fourth, eighth ... alone."""
+    """Samples of one source, flat; of very many the means of two, four, eight ... in a row."""
 
     widths: tuple[int, ...]  # values of each quantity in a sample
     header_ns: array[int] = field(default_factory=lambda: array("q"))
     log_ns: array[int] = field(default_factory=lambda: array("q"))
     quantities: tuple[array[float], ...] = ()
-    step: int = 1  # of so many messages the first is kept
+    step: int = 1  # so many messages make one sample
+    settled: int = 0  # samples so far; the messages behind them wait for `settle`
     count: int = 0  # messages so far
-    is_mixed: bool = False  # whether two publishers took turns before some were left out
+    is_mixed: bool = False  # whether two publishers took turns: of these the first is kept
 
     def __post_init__(self) -> None:
         self.quantities = self.quantities or tuple(array("d") for _ in self.widths)
@@ -183,19 +185,17 @@ class _Samples:
 
     def add(self, header_ns: int, log_ns: int, quantities: Sequence[bytes]) -> None:
         """Append one message; OverflowError where a stamp lies beyond the year 2262."""
-        if self.count % self.step == 0:
-            self.header_ns.append(header_ns)  # first: it may not fit
-            self.log_ns.append(log_ns)
-            for store, width, values in zip(self.quantities, self.widths, quantities, strict=True):
-                store.frombytes(values or _NOTHING[: 8 * width])
+        self.header_ns.append(header_ns)  # first: it may not fit
+        self.log_ns.append(log_ns)
+        for store, width, values in zip(self.quantities, self.widths, quantities, strict=True):
+            store.frombytes(values or _NOTHING[: 8 * width])
         self.count += 1
 
     def add_all(self, samples: Sequence[NDArray[Any]]) -> None:
         """Append messages: header and log stamps, shape (N,), and quantities, shape (N, width)."""
         stores = (self.header_ns, self.log_ns, *self.quantities)
-        rows = slice(-self.count % self.step, None, self.step)
         for store, values in zip(stores, samples, strict=True):
-            store.frombytes(np.ascontiguousarray(values[rows]).reshape(-1).view(np.uint8).data)
+            store.frombytes(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
         self.count += len(samples[0])
 
     def values(self, quantity: int) -> NDArray[np.float64]:
@@ -226,17 +226,51 @@ class _Samples:
         made = _Samples(widths)
         made.add_all(columns)
         made.step, made.count, made.is_mixed = self.step, self.count, self.is_mixed
+        made.settled = len(made.log_ns)
         return made
 
+    def settle(self, *, is_end: bool = False) -> None:
+        """Average what came since the last time, `step` messages to a sample; a rest waits."""
+        last = len(self.log_ns) - (len(self.log_ns) - self.settled) % self.step
+        if self.step > 1:
+            self._halve(self.settled, last, self.step.bit_length() - 1)
+        self.settled += (last - self.settled) // self.step
+        if is_end:
+            del self.header_ns[self.settled :], self.log_ns[self.settled :]
+            for store, width in zip(self.quantities, self.widths, strict=True):
+                del store[self.settled * width :]
+
     def thin(self) -> None:
-        """Decimate the samples by two."""
+        """Average the samples in pairs; one without another stays."""
         if self.step == 1:
             self.is_mixed = two_sources(self.places[:_FIRST_SAMPLES]) is not None
+        self.settle()
+        self._halve(0, self.settled // 2 * 2, 1)
+        self.settled -= self.settled // 2
         self.step *= 2
-        self.header_ns, self.log_ns = self.header_ns[::2], self.log_ns[::2]
-        self.quantities = tuple(
-            array("d", self.values(k)[::2].tobytes()) for k in range(len(self.widths))
-        )
+
+    def _halve(self, first: int, last: int, times: int) -> None:
+        """Average samples of a range in pairs, so many times."""
+        stores: list[tuple[array[Any], int]] = [(self.header_ns, 1), (self.log_ns, 1)]
+        stores += list(zip(self.quantities, self.widths, strict=True))
+        for store, width in stores:
+            values = np.frombuffer(store[first * width : last * width], store.typecode)
+            values = values.reshape(-1, width)
+            for _ in range(times):
+                one, values = values[::2], values[1::2]
+                if self.is_mixed:
+                    values = one
+                    continue
+                with np.errstate(invalid="ignore"):
+                    apart = values - one
+                # Between some there is nothing: a turn of a joint, or a value that is not given.
+                is_near = np.abs(apart) < (_TURN if store is self.quantities[0] else np.inf)
+                half = apart // 2 if store.typecode == "q" else apart / 2
+                values = one + np.where(is_near, half, 0)
+            behind = store[last * width :]
+            del store[first * width :]
+            store.frombytes(np.ascontiguousarray(values).tobytes())
+            store.extend(behind)
 
 
 # Names of joints, and what messages with these say.
@@ -305,6 +339,8 @@ class JointRows:
         Messages with one stamp and different joints make one sample; publishers that say different
         things of the same joints are apart. Joints without names are called `joint_names`.
         """
+        for block in self._blocks.values():
+            block.settle(is_end=True)
         found: list[Signal] = []
         notes: list[str] = []
         every = [_by_interface(*one, notes) for one in self._blocks.items() if one[0]]
@@ -367,8 +403,8 @@ class JointRows:
         if most.step > 1:
             mixed = ", of two publishers that are not distinguishable" if most.is_mixed else ""
             notes.append(
-                f"of {most.count} messages{mixed} every {most.step}th is used, as many as are "
-                "held; cut the log where a part is to be used with all of them"
+                f"of {most.count} messages{mixed} the means of {most.step} in a row are used, as "
+                "many as are held; cut the log where a part is to be used with all of them"
             )
         stamps_ns = ordered[0].stamps_ns
         if len(blocks) > 1:
@@ -396,11 +432,13 @@ class JointRows:
         return found, [f"{topic}: {note}" for note in dict.fromkeys(notes)]
 
     def _bound(self) -> None:
-        """Decimate the largest block while too many numbers are held."""
+        """Average in the largest block while too many numbers are held."""
 
         def numbers(block: _Samples) -> int:
             return sum(map(len, block.quantities))
 
+        for block in self._blocks.values():
+            block.settle()
         while sum(map(numbers, self._blocks.values())) > self.most_numbers:
             max(self._blocks.values(), key=numbers).thin()
 

@@ -407,15 +407,18 @@ def test_layouts_by_turns_keep_their_order_and_damage_is_left_out(tmp_path: Path
     assert any("1 damaged messages" in loss for loss in episode.losses)
 
 
-def test_of_too_many_messages_some_are_kept_evenly_and_that_is_said(tmp_path: Path):
+def test_too_many_messages_are_averaged_and_that_is_said(tmp_path: Path):
     path, heard = tmp_path / "a.mcap", []
     states(path, STATES)
     with heard_by(lambda what, fraction: heard.append((what, fraction))):
         episode = read_episode(path, most_numbers=6 * 200)
     assert heard[0] == ("reading", 0.0)
-    position, _ = episode.signals.values()
-    assert np.array_equal(position.stamps_ns, STAMPS[::8])
-    assert any(f"of {MANY} messages every 8th" in warning for warning in episode.warnings)
+    middle = np.arange(3.5, MANY, 8.0)  # of each eight messages
+    for signal, sign in zip(episode.signals.values(), (1, -1), strict=True):
+        assert np.abs(signal.stamps_ns - START_NS - middle * STEP_NS).max() < 8
+        wanted = sign * (middle[:, None] / 7 + np.arange(2))
+        assert np.abs(signal.values - wanted).max() < 1e-9
+    assert any(f"of {MANY} messages the means of 8" in warning for warning in episode.warnings)
     assert episode.channels[0].messages == MANY
     states(path, [joints(k if k % 2 else 40_000) for k in range(MANY)])
     warnings = read_episode(path, most_numbers=6 * 200).warnings
