@@ -404,22 +404,28 @@ def export(
     radius_m: float | None = None,
     mass_kg: float | None = None,
     step_s: float | None = None,
+    model: AnyPath | None = None,
     overwrite: bool = False,
 ) -> tuple[Path, ...]:
-    """Write the tuned ball or payload as a model file of an engine; see docs/engines.md.
+    """Write the tuned ball or payload as a model file of an engine, or a model's own file.
+
+    See docs/engines.md, and docs/your-simulator.md of a tuned model.
 
     Args:
         tuning: A tuning, or its record.
-        to: "pybullet", "mujoco", "sdf", "urdf", "drake", "newton", "isaac", "yaml" or "json".
-        path: The file, with the engine's suffix.
+        to: "pybullet", "mujoco", "sdf", "urdf", "drake", "newton", "isaac", "yaml" or "json"; of a
+            tuned model "mjcf", "urdf", "yaml" or "json".
+        path: The file, with the engine's suffix; of a model that names other files in its folder.
         speed_m_s: Impact speed at which the coefficient of restitution is to be exact.
         radius_m: Radius of the ball.
         mass_kg: Mass of the ball.
         step_s: The engine's time step.
+        model: Where the tuned model lies; None for where it was.
         overwrite: Whether exports of other logs may be replaced.
 
     Returns:
-        The files that were written: some engines need two.
+        The files that were written: some engines need two, a model those of its includes that
+        change.
 
     Raises:
         UsageError: There is no such engine, or an option does not apply to it.
@@ -428,13 +434,24 @@ def export(
     """
     from tunenet_logs.analysis.export.exported import ExportOptions
     from tunenet_logs.analysis.export.files import engine_format, export_texts, exported_for
+    from tunenet_logs.analysis.export.model import TASK, check_export, model_export, tuned_simulator
+    from tunenet_logs.analysis.export.registry import MODEL_FORMATS
     from tunenet_logs.analysis.result_files import exported_file
     from tunenet_logs.writing.owned_path import OutputPlace
 
     record = tuning.record if isinstance(tuning, Tuning) else tuning
     said = ExportOptions(speed_m_s, radius_m, mass_kg, step_s)
-    engine = engine_format(to)
-    texts = export_texts(engine, exported_for(engine, record, said), Path(path))
+    item = made = None
+    if record.task == TASK and to in MODEL_FORMATS:
+        if said != ExportOptions():
+            raise UsageError("speed_m_s, radius_m, mass_kg and step_s are for a ball")
+        item = tuned_simulator(record, record.log, None if model is None else Path(model))
+        made = model_export(item, to, Path(path), None)
+        texts = made.texts
+    else:
+        engine = engine_format(to)
+        files = export_texts(engine, exported_for(engine, record, said), Path(path))
+        texts = {place: text.encode() for place, text in files.items()}
     knows = exported_file(record)
     for place in texts:
         taken = OutputPlace(place, "export", knows, record.log, _ELSEWHERE, overwrite, _ASKED_BY)
@@ -442,7 +459,9 @@ def export(
             raise LogError(why)
     for place, text in texts.items():
         with _written(place, "export", knows, record.log, overwrite=overwrite) as unfinished:
-            unfinished.write_text(text, "utf-8")
+            unfinished.write_bytes(text)
+    if item is not None and made is not None and made.written is not None:
+        check_export(made, item)
     return tuple(texts)
 
 

@@ -307,5 +307,6 @@ def record_of(tuning: Tuning) -> Record:
         window=None if detection is None else {name: float(at) for name, at in times_s.items()},
         seconds=tuning.seconds,
         provenance=tuning.provenance,
+        posterior=None if intervals is None or not trace or not trace.fit else trace.fit.posterior,
         motion=motion,
     )

@@ -732,7 +732,12 @@ def page_facts(record: Record) -> tuple[str, ...]:
 def page_todo(record: Record, tuning: Path) -> Items:
     """List what failed and its remedies, or what the values are for."""
     if record.verdict == "ok":
-        return Items([f"As a file of your engine: tunenet-export {tuning.name} --to ENGINE"])
+        to, told = "ENGINE", record.provenance and record.provenance.model
+        if record.task == "simulator":
+            is_urdf = told and told.path.lower().endswith(".urdf")
+            to = "yaml" if not told else "urdf" if is_urdf else "mjcf"
+        what = {"ENGINE": "a file of your engine", "yaml": "a file"}.get(to, "your model's file")
+        return Items([f"As {what}: tunenet-export {tuning.name} --to {to}"])
     return failures(record, _OCCASIONS.get(record.task or "", "recording"))
 
 

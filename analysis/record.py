@@ -215,6 +215,42 @@ class Motion:
 
 # ---- Record: the result for one log, without samples.
 
+Interval = tuple[float, float]  # lower and upper end
+
+
+@dataclass(frozen=True)
+class TunedModel:
+    """A model's file that was tuned.
+
+    Attributes:
+        path: As it was named.
+        sha256: Of what moves it, in that file and those that it names; comments aside.
+        parameters: What was tuned, as `--tune` names it.
+    """
+
+    path: str
+    sha256: str
+    parameters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Joint posterior of P tuned values, as a Gaussian about them.
+
+    Attributes:
+        sd: Standard deviation of each, in its unit.
+        correlation: P rows of P.
+        bounds: Lowest and highest value that physics allows of each.
+        searched: Range in which each was looked for.
+        unidentifiable: Names of those that the log cannot tell.
+    """
+
+    sd: tuple[float, ...]
+    correlation: tuple[tuple[float, ...], ...]
+    bounds: tuple[Interval, ...]
+    searched: tuple[Interval, ...]
+    unidentifiable: tuple[str, ...]
+
 
 @dataclass(frozen=True)
 class Provenance:
@@ -227,6 +263,7 @@ class Provenance:
         tares: Name and SHA-256 of each empty run.
         date: When it was tuned, ISO 8601 in UTC.
         engine: Simulator with its version; None if nothing was simulated.
+        model: The user's model that was tuned; None without one.
     """
 
     version: str
@@ -235,9 +272,7 @@ class Provenance:
     tares: tuple[Mapping[str, str], ...] = field(metadata=_key("tare"))
     date: str
     engine: str | None
-
-
-Interval = tuple[float, float]  # lower and upper end
+    model: TunedModel | None = None
 
 
 @dataclass(frozen=True)
@@ -320,6 +355,8 @@ class Record:
         topic: Where the experiment was found.
         window: Times of its events by name [s since the log's first sample].
         seconds: Wall time by stage.
+        posterior: Of the values of a simulator of one's own, in the order of the estimates; None
+            where they have no intervals.
     """
 
     log: str
@@ -344,6 +381,7 @@ class Record:
     window: Mapping[str, float] | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     provenance: Provenance | None = None
+    posterior: Posterior | None = None
 
     def estimate(self, name: str) -> Estimate | None:
         """Return the quantity of that name, or None."""
@@ -397,7 +435,11 @@ _WRITTEN: Mapping[type, Callable[[Any], dict[str, Any]]] = {
         "interval95": ...,
     },
     # null, one, or a list of several
-    Provenance: lambda one: {"tare": one.tares if len(one.tares) > 1 else (*one.tares, None)[0]},
+    Provenance: lambda one: {
+        "tare": one.tares if len(one.tares) > 1 else (*one.tares, None)[0],
+        **({} if one.model else {"model": ...}),
+    },
+    Record: lambda record: {} if record.posterior else {"posterior": ...},
 }
 
 

@@ -42,6 +42,7 @@ def provenance_of(tuning: Tuning, sha256: str, options: TuneOptions) -> Provenan
         ),
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         engine=None if tuning.simulator is None else tuning.simulator["engine"],
+        model=options.source.origin if options.source and tuning.simulator else None,
     )
 
 

@@ -17,7 +17,7 @@ VERBS = {
         "a campaign's drops, tunings and outcomes on a timeline",
     ),
     "logs": ("tunenet_logs.cli", "look into logs, check, recover and import them"),
-    "export": (f"{_ANALYSIS}.cli.export", "a tuned ball or payload as a file of an engine"),
+    "export": (f"{_ANALYSIS}.cli.export", "a tuned ball, payload or model as a file"),
     "report": (f"{_ANALYSIS}.cli.report", "tunings as one page, and their curves as CSV"),
     "compare": (f"{_ANALYSIS}.cli.compare", "tunings side by side"),
     "plan": (f"{_ANALYSIS}.cli.plan", "a bounce shot with a tuned ball"),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -35,13 +36,14 @@ class Card:
 
     def ball_text(self, ball: ExportedBall) -> str:
         """See `ExportFormat`."""
-        return self._text(_ball_card(ball), [*ball_lines(ball), *one_restitution_lines(ball)])
+        return self.text(_ball_card(ball), [*ball_lines(ball), *one_restitution_lines(ball)])
 
     def payload_text(self, payload: ExportedPayload) -> str:
         """See `ExportFormat`."""
-        return self._text(_payload_card(payload), payload_lines(payload))
+        return self.text(_payload_card(payload), payload_lines(payload))
 
-    def _text(self, card: dict[str, Any], notes: list[str]) -> str:
+    def text(self, card: dict[str, Any], notes: list[str]) -> str:
+        """Write data and remarks on it."""
         if self.NAME == "json":
             card["notes"] = notes
             return json.dumps(card, indent=1, ensure_ascii=True, allow_nan=False) + "\n"
@@ -89,7 +91,7 @@ def _ball_card(ball: ExportedBall) -> dict[str, Any]:
             "drop_height": asdict(ball.drop_height_m) | {"unit": "m"},
             "friction": None,  # a drop does not identify it
         },
-        "provenance": _provenance(ball.origin),
+        "provenance": provenance_card(ball.origin),
     }
 
 
@@ -107,7 +109,7 @@ def _payload_card(payload: ExportedPayload) -> dict[str, Any]:
             "inertia_kg_m2": {"ixx": xx, "ixy": xy, "ixz": xz, "iyy": yy, "iyz": yz, "izz": zz},
             "inertia_of": f"a solid ball of {payload.radius_m:g} m radius, assumed",
         },
-        "provenance": _provenance(payload.origin),
+        "provenance": provenance_card(payload.origin),
     }
 
 
@@ -124,7 +126,19 @@ def _plain(value: Any) -> Any:
     return [_plain(one) for one in value] if isinstance(value, tuple) else value
 
 
-def _provenance(origin: ExportOrigin) -> dict[str, str]:
+def flat(numbers: Sequence[float] | None) -> list[float] | None:
+    """Return numbers as a list that YAML writes on one line; None as it is."""
+    if numbers is None:
+        return None
+    from ruamel.yaml.comments import CommentedSeq
+
+    found = CommentedSeq(numbers)
+    found.fa.set_flow_style()
+    return found
+
+
+def provenance_card(origin: ExportOrigin) -> dict[str, str]:
+    """Return whose values they are, as data."""
     return {
         "log": origin.log,
         "log_sha256": origin.log_sha256,

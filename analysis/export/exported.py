@@ -193,6 +193,11 @@ def exported(record: Record, options: ExportOptions) -> ExportedBall | ExportedP
             "its value is a number of one engine's settings, not the object's own; tune the log "
             "again with --preset default"
         )
+    if record.task == "simulator":
+        raise UsageError(
+            "it is of a simulator of your own, which is no ball or payload",
+            "give --to mjcf or urdf for its model's own file, --to yaml for the values",
+        )
     if record.task == "payload":
         for name, value in vars(options).items():
             if value is not None:
@@ -203,7 +208,7 @@ def exported(record: Record, options: ExportOptions) -> ExportedBall | ExportedP
             raise LogError(f"holds no {_MASS}; tune the log again")
         if com is not None and not (isinstance(com.value, tuple) and len(com.value) == 3):
             raise LogError(f"{_COM} is not three numbers; tune the log again")
-        payload = ExportedPayload(_origin(record), mass, com, PAYLOAD_RADIUS_M)
+        payload = ExportedPayload(origin_of(record), mass, com, PAYLOAD_RADIUS_M)
         try:
             Payload(payload.mass_kg, payload.com_m)
         except UsageError as error:
@@ -217,7 +222,8 @@ def exported(record: Record, options: ExportOptions) -> ExportedBall | ExportedP
     return _ball(record, options)
 
 
-def _origin(record: Record) -> ExportOrigin:
+def origin_of(record: Record) -> ExportOrigin:
+    """Return whose values a record has."""
     known = record.provenance
     return ExportOrigin(
         log=one_line(record.log or "a log without a name"),
@@ -255,7 +261,7 @@ def _ball(record: Record, options: ExportOptions) -> ExportedBall:
         first, last = record.rebounds[0], record.rebounds[-1]
         observed = ObservedDrop(curves, first.impact_s, last.impact_s)
     return ExportedBall(
-        origin=_origin(record),
+        origin=origin_of(record),
         restitution=restitution,
         meaning=meaning,
         speed_m_s=speed,

@@ -23,6 +23,7 @@ from tunenet_logs.analysis.export.exported import (
 )
 from tunenet_logs.analysis.export.registry import (
     FORMATS,
+    MODEL_FORMATS,
     CanDrop,
     ExportFormat,
     export_format,
@@ -167,7 +168,9 @@ def export_texts(
 
 
 def engine_format(name: str) -> ExportFormat:
-    """Return the format of that name."""
+    """Return the format of that name, for a ball or a payload."""
+    if name in MODEL_FORMATS and name not in FORMATS:
+        raise UsageError(f"{name} is the own file of a tuned model: choose another of --to")
     if name not in FORMATS:
         raise UsageError(f"nothing is exported to {name!r}; choose one of: {', '.join(FORMATS)}")
     return export_format(name)

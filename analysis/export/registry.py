@@ -24,6 +24,9 @@ FORMATS: Mapping[str, str] = {
     "json": "tunenet_logs.analysis.export.cards:JSON_CARD",
 }
 
+# What a simulator of one's own is exported as: its model's own file, or data.
+MODEL_FORMATS = ("mjcf", "urdf", "yaml", "json")
+
 
 class ExportFormat(Protocol):
     """File format of an engine, such as a module with these names.

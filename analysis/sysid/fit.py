@@ -17,6 +17,7 @@ from scipy.stats import qmc, t
 
 from tunenet_logs.analysis.estimators.base import FitResult
 from tunenet_logs.analysis.estimators.damped import Damping, damped_step
+from tunenet_logs.analysis.record import Posterior
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.recorders.simulators.base import Parameter
@@ -628,7 +629,20 @@ def fit_simulator(
         correlation,
         steps.inflation(solution),
     )
-    return FitResult(solution.values[:tuned], ends.T[:tuned], detail=detail, path=solution.path)
+    posterior = Posterior(
+        tuple((half95[:tuned] / 1.96).tolist()),  # as wide as the intervals
+        tuple(map(tuple, correlation[:tuned, :tuned].tolist())),
+        tuple(one.bounds for one in parameters[:tuned]),
+        tuple(one.training_range for one in parameters[:tuned]),
+        tuple(one.name for one in detail.unidentifiable),
+    )
+    return FitResult(
+        solution.values[:tuned],
+        ends.T[:tuned],
+        detail=detail,
+        path=solution.path,
+        posterior=posterior,
+    )
 
 
 def _walked(steps: RolloutLeastSquares, solution: Solution, cov: Array, tuned: int) -> Array:

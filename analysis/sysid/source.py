@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from tunenet_logs.analysis.record import TunedModel
 from tunenet_logs.analysis.sysid.fit import ComparedColumns, compared, noise_of
 from tunenet_logs.analysis.sysid.matching import rotations
 from tunenet_logs.episode import Array, Episode, LeftOut
@@ -33,7 +34,7 @@ from tunenet_logs.terminal import listed, one_line, short_name
 
 if TYPE_CHECKING:
     from tunenet_logs.recorders.simulators.model.parameters import ModelParameter
-    from tunenet_logs.recorders.simulators.model.reading import ModelProcess
+    from tunenet_logs.recorders.simulators.model.reading import ModelFiles, ModelProcess
 
 
 # ---- Value and slope of sampled curves at a stamp, by their first samples
@@ -147,6 +148,7 @@ class GivenSimulator:
 
     simulator: Simulator  # that object
     digest = ""  # no file's
+    origin = None  # likewise
 
     @property
     def name(self) -> str:
@@ -202,7 +204,7 @@ class ModelSource:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters to tune; UsageError where there are none, or the file cannot be read."""
-        return tuple(one.parameter for one in self._tuned)
+        return tuple(one.parameter for one in self.tuned)
 
     @property
     def digest(self) -> str:
@@ -211,6 +213,11 @@ class ModelSource:
 
         text = self.spec.to_xml() + "\n".join(self.wanted)
         return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def origin(self) -> TunedModel:
+        """What a result says of its file."""
+        return TunedModel(str(self.path), self.files.sha256, self.wanted)
 
     def told_as(self) -> Mapping[str, Any]:
         """Return its description in a result, as JSON values."""
@@ -222,14 +229,20 @@ class ModelSource:
         return {name: getattr(self, name) for name in ("path", "wanted", "told")}
 
     @cached_property
-    def spec(self) -> Any:
-        """The model as its file has it."""
-        from tunenet_logs.recorders.simulators.model.reading import read_model
+    def files(self) -> ModelFiles:
+        """Its files, read once."""
+        from tunenet_logs.recorders.simulators.model.reading import ModelFiles
 
-        return read_model(self.path, process=self._process)
+        return ModelFiles(self.path)
 
     @cached_property
-    def _process(self) -> ModelProcess:
+    def spec(self) -> Any:
+        """The model as its file has it."""
+        return self.files.spec(self.process)
+
+    @cached_property
+    def process(self) -> ModelProcess:
+        """Where it is run."""
         from tunenet_logs.recorders.simulators.model.reading import ModelProcess
 
         return ModelProcess(self.path)
@@ -240,7 +253,8 @@ class ModelSource:
         return self.spec.compile()
 
     @cached_property
-    def _tuned(self) -> tuple[ModelParameter, ...]:
+    def tuned(self) -> tuple[ModelParameter, ...]:
+        """Parameters to tune, as the compiled model has them."""
         from tunenet_logs.recorders.simulators.model.parameters import model_parameters
 
         if not self.wanted:
@@ -263,13 +277,13 @@ class ModelSource:
         state = initial_state(self.model, match.starts(), start_ns)
         match.choose_turned(state.qpos)
         simulator = ModelSimulator(
-            movable(self.spec, self._tuned),
-            self._tuned,
+            movable(self.spec, self.tuned),
+            self.tuned,
             tuple(match.sensed),
             tuple(match.drives),
             state,
             end_ns,
-            self._process,
+            self.process,
         )
         rollout = simulator.rollout({})
         seen = {one.signal.name: one.signal for one in match.sensed}

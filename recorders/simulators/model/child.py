@@ -137,7 +137,7 @@ def _begun(model: Any, row: Row, step_s: float, is_late: bool) -> tuple[Any, Any
     for name, array in values:
         put_array(model, name, array)
     data = mujoco.MjData(model)
-    mujoco.mj_setConst(model, data)
+    set_constants(model, data)
     mujoco.mj_resetData(model, data)
     data.qpos[:], data.qvel[:] = qpos, qvel
     if is_late:  # so that the speed at the first stamp is the one that is meant
@@ -226,6 +226,23 @@ def _foresee(spent_s: float, done: int, steps: int, judged_s: float) -> None:
     if spent_s > judged_s and needed_s > MAX_ROLLOUT_S:
         raise _TooSlowError(f"slow: {needed_s:.0f} s for {steps} steps")
     limit(cpu_s=PIECE_S)
+
+
+def set_constants(model: Any, data: Any) -> None:
+    """Compute what follows from changed numbers, as compiling a file with them does.
+
+    `mj_setConst` leaves out the mean inertia, by which the solver's tolerance is scaled.
+    """
+    mujoco: Any = import_module("mujoco")
+    is_own = model.nv and model.stat.meaninertia == _mean(model.dof_M0)  # not the user's
+    mujoco.mj_setConst(model, data)
+    if is_own:
+        model.stat.meaninertia = _mean(model.dof_M0)
+
+
+def _mean(values: NDArray[Any]) -> float:
+    """Return the mean of a running sum, which is MuJoCo's to the last bit."""
+    return float(np.cumsum(values)[-1] / len(values))
 
 
 def put_array(model: Any, name: str, value: Any) -> None:

@@ -127,6 +127,7 @@ class ModelParameter:
     put: Callable[[Any, float], None]  # sets it in a model that `movable` returned
     field: str  # its field, e.g. "damping".
     owner: str  # kind and name of the element, e.g. "joint/elbow".
+    given: float = 0.0  # its value in the model
 
 
 def model_parameters(model: Any, wanted: Iterable[str]) -> tuple[ModelParameter, ...]:
@@ -194,8 +195,9 @@ def _parsed_parameter(model: Any, text: str) -> ModelParameter:
     address = f"{owner}.{field_name}" + (f"[{index}]" if field.size > 1 else "")
     if kind == "joint" and model.jnt_type[number] == mujoco().mjtJoint.mjJNT_SLIDE:
         field = replace(field, unit=_SLIDING_UNITS.get(field.unit, field.unit))
-    parameter = _parameter(text, match, address, field, index, float(get(model)))
-    return ModelParameter(parameter, put, field_name, owner)
+    now = float(get(model))
+    parameter = _parameter(text, match, address, field, index, now)
+    return ModelParameter(parameter, put, field_name, owner, now)
 
 
 def _parameter(

@@ -6,6 +6,7 @@ own folder alone, bounded in size and number. MuJoCo's errors are reported on on
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -249,20 +250,25 @@ _SCHEME = re.compile(r"(package|model|file)://+(.*)", re.DOTALL)
 
 def read_model(path: Path, home: Path | None = None, process: ModelProcess | None = None) -> Any:
     """Read a model, ready to compile; textures are plain, a URDF's visual shapes left out."""
-    reader = _ModelReader(path, home)
-    xml = reader.prepared(reader.path, reader.read(reader.path, f"{path}:", is_xml=True), ())
-    (process or ModelProcess(path)).check_compiles(xml, reader.models, reader.files)
-    try:
-        return mujoco().MjSpec.from_string(xml, include=reader.models, assets=reader.files)
-    except (ValueError, RuntimeError) as error:  # it was read a moment ago
-        raise UsageError(f"{path}: MuJoCo does not read it", "try it again") from error
+    return ModelFiles(path, home).spec(process)
 
 
-class _ModelReader:
-    """Reads a model's files, none outside its folder or package, and renames them in its XML."""
+class ModelFiles:
+    """A model's files, none outside its folder or package, renamed in its XML as MuJoCo gets it.
 
-    def __init__(self, path: Path, home: Path | None) -> None:
-        self.named = path
+    Attributes:
+        xml: The model's XML, includes resolved.
+        texts: Text of the model and of what it includes, by their real paths, its own first.
+        includes: Path of each included file, by that of the including one and the name in it.
+        models: XML of attached models, by their new names.
+        files: Meshes and height fields, by their new names.
+    """
+
+    def __init__(
+        self, path: Path, home: Path | None = None, texts: Mapping[Path, bytes] | None = None
+    ) -> None:
+        """Read all files; `texts` are read in place of what is on the disk."""
+        self.named, self._instead = path, texts or {}
         self.path = real_path(path)  # the model's file, links resolved
         self.folder = self.path.parent  # its folder
         parents = [self.folder, *self.folder.parents][:32]  # where its package is sought
@@ -270,9 +276,30 @@ class _ModelReader:
         self._homes = [self.folder, package, *([real_path(home)] if home else [])]
         self._parents = parents
         self._bytes = self._xml_bytes = self._count = 0
-        self.models: dict[str, bytes] = {}  # XML of attached models, by their new names
-        self.files: dict[str, bytes] = {}  # meshes and height fields
+        self.models: dict[str, bytes] = {}
+        self.files: dict[str, bytes] = {}
         self._names: dict[Path, str] = {}
+        self.includes: dict[tuple[Path, str], Path] = {}
+        own = self.read(self.path, f"{path}:", is_xml=True)
+        self.texts = {self.path: own}
+        self.xml = self.prepared(self.path, own, ())
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of what MuJoCo gets: comments, pictures and spaces between elements aside."""
+        state = hashlib.sha256(re.sub(r">\s+<", "><", self.xml).encode())
+        for name, data in sorted({**self.models, **self.files}.items()):
+            state.update(f"\0{name}\0{len(data)}\0".encode() + data)
+        return state.hexdigest()
+
+    def spec(self, process: ModelProcess | None = None) -> Any:
+        """Check in a child that it compiles, and return its spec; else UsageError."""
+        path = self.named
+        (process or ModelProcess(path)).check_compiles(self.xml, self.models, self.files)
+        try:
+            return mujoco().MjSpec.from_string(self.xml, include=self.models, assets=self.files)
+        except (ValueError, RuntimeError) as error:  # it was read a moment ago
+            raise UsageError(f"{path}: MuJoCo does not read it", "try it again") from error
 
     def names(self, tag: str, reference: str) -> str:
         """Begin an error message on a file that `<tag>` names."""
@@ -301,7 +328,9 @@ class _ModelReader:
     def read(self, path: Path, named: str, *, is_xml: bool = False) -> bytes:
         """Read a file that `find` returned, with tighter limits for XML."""
         try:
-            data = read_small_file(path, MAX_XML_BYTES if is_xml else _MAX_FILE_BYTES)
+            data = self._instead.get(path)
+            if data is None:
+                data = read_small_file(path, MAX_XML_BYTES if is_xml else _MAX_FILE_BYTES)
         except LogError as error:
             raise UsageError(f"{named} is no regular file", "copy it to one") from error
         except OSError as error:
@@ -350,7 +379,7 @@ class _ModelReader:
                 element.tag = element.tag.removeprefix(space)
         folders = [path.parent]
         if root.tag == "mujoco":
-            self._include(root, folders, {path}, 1)
+            self._include(root, path, folders, {path})
         elif root.tag == "robot":
             refuse_xacro(root, named)
             # Remove what moves no link: visual shapes, and extensions.
@@ -372,8 +401,10 @@ class _ModelReader:
         self._gather(root, folders, (*above, path))
         return ET.tostring(root, encoding="unicode")
 
-    def _include(self, root: ET.Element, folders: list[Path], seen: set[Path], depth: int) -> None:
-        """Replace each <include> by its file's content."""
+    def _include(
+        self, root: ET.Element, own: Path, folders: list[Path], seen: set[Path], depth: int = 1
+    ) -> None:
+        """Replace each <include> of a file by that file's content."""
         for parent in list(root.iter()):
             for found in [one for one in parent if one.tag.lower() == "include"]:
                 reference = found.get("file", "")
@@ -386,6 +417,7 @@ class _ModelReader:
                     )
                 seen.add(path)
                 data = self.read(path, self.names("include", reference), is_xml=True)
+                self.texts[path], self.includes[own, reference] = data, path
                 part = parse_xml(data, path, _KIND, "include the XML of a MuJoCo model")
                 if part.tag not in ("mujoco", "mujocoinclude"):
                     raise UsageError(
@@ -394,7 +426,7 @@ class _ModelReader:
                     )
                 if path.parent not in folders:
                     folders.append(path.parent)
-                self._include(part, folders, seen, depth + 1)
+                self._include(part, path, folders, seen, depth + 1)
                 index = list(parent).index(found)
                 parent[index : index + 1] = list(part)
 
