@@ -227,6 +227,20 @@ class TuneOptions(Hints, ReadOptions):
         metavar="SIGNAL=TARGET",
         is_many=True,
     )
+    together: tuple[Path | Episode, ...] = _of_model(
+        "take the logs for runs of one machine, and tune one set of values to all, each with its "
+        "own start: one result, under the first log's name (in Python: the other logs)",
+        (),
+        metavar="LOG",
+        is_many=True,
+        parse=Path,
+    )
+    hold_out: Path | Episode | None = _of_model(
+        "judge the values by another run of the machine, which they are not fitted to (default: "
+        "by the last 40 % of the time of each log)",
+        metavar="LOG",
+        parse=Path,
+    )
     preset: str = _of_method(
         "simulator, observation and network: ours, or those of the paper's text or code",
         "default",
@@ -279,10 +293,8 @@ class TuneOptions(Hints, ReadOptions):
         _ = self.given_ball  # there is such a ball
         if isinstance(arm := self.given_arm, str):
             object.__setattr__(self, "arm", arm)  # as it is spelled here
-        runs = [run for run in self.tares if isinstance(run, Path)]
-        for at, run in enumerate(runs):
-            if real_path(run) in map(real_path, runs[:at]):
-                raise UsageError(f"--tare {run} is named twice; name each empty run once")
+        _check_once("--tare ", self.tares, "empty run")
+        _check_once("", (*self.together, self.hold_out), "run of the machine")
         if self.model is None:
             for name, flag in (("parameters", "--tune"), ("mapping", "--map")):
                 if getattr(self, name):
@@ -350,9 +362,20 @@ class TuneOptions(Hints, ReadOptions):
     @property
     def provenance(self) -> dict[str, Any]:
         """Options with another value than usual, as JSON values; files by their names."""
-        names = [name for name in self.given().values() if name != "tares"]
+        names = [name for name in self.given().values() if name not in _LOGS]
         found = {name: _as_json(getattr(self, name)) for name in names}
         return found if self.source is None else {**found, **self.source.told_as()}
+
+
+def _check_once(option: str, logs: Sequence[Path | Episode | None], what: str) -> None:
+    """Raise UsageError where a log is named twice."""
+    runs = [run for run in logs if isinstance(run, Path)]
+    for at, run in enumerate(runs):
+        if real_path(run) in map(real_path, runs[:at]):
+            raise UsageError(f"{option}{run} is named twice; name each {what} once")
+
+
+_LOGS = ("tares", "together", "hold_out")  # options that name other logs
 
 
 def _as_json(value: Any) -> Any:

@@ -34,7 +34,7 @@ def provenance_of(tuning: Tuning, sha256: str, options: TuneOptions) -> Provenan
     return Provenance(
         version=version("tunenet-logs"),
         log_sha256=sha256,
-        options=options.provenance,
+        options={**options.provenance, **_other_runs(options)},
         tares=tuple(
             {"log": tare.name, "sha256": known_sha256(tare)}
             for tare in options.tares
@@ -44,6 +44,22 @@ def provenance_of(tuning: Tuning, sha256: str, options: TuneOptions) -> Provenan
         engine=None if tuning.simulator is None else tuning.simulator["engine"],
         model=options.source.origin if options.source and tuning.simulator else None,
     )
+
+
+def _other_runs(options: TuneOptions) -> dict[str, Any]:
+    """Return name and SHA-256 of the other runs of a user's machine, as JSON values."""
+
+    def told(log: Path | Episode) -> dict[str, str] | None:
+        if isinstance(log, Episode):
+            return None
+        return {"log": log.name, "sha256": known_sha256(log)}
+
+    found: dict[str, Any] = {}
+    if options.together:
+        found["together"] = [told(log) for log in options.together]
+    if options.hold_out is not None:
+        found["hold_out"] = told(options.hold_out)
+    return found
 
 
 # ---- Unused options: those that have no effect on a log.
@@ -134,8 +150,12 @@ def tune_episode(
     if options.source is not None:
         from tunenet_logs.analysis.sysid.experiment import SimulatorExperiment
 
-        experiment, episode = SimulatorExperiment(options.source), trim_clock_jumps(episode)
+        experiment = SimulatorExperiment(options.source, path)
+        episode = trim_clock_jumps(episode)
     else:
+        if options.together or options.hold_out is not None:
+            what = "--together and --hold-out are about a model of one's own"
+            raise UsageError(what, "name it with --model")
         episode = trim_clock_jumps(without_commands(episode))
         topic = options.topic
         kind = options.task or episode.info.kind

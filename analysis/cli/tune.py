@@ -19,7 +19,7 @@ from tunenet_logs.recorders.simulators.known import engine_option, in_engine
 from tunenet_logs.terminal import Progress, listed
 
 if TYPE_CHECKING:
-    from tunenet_logs.analysis.batch.logs import FoundLog
+    from tunenet_logs.analysis.batch.logs import FoundLog, FoundLogs
     from tunenet_logs.analysis.batch.run import Writing
     from tunenet_logs.analysis.experiment import Tuning
     from tunenet_logs.analysis.options import TuneOptions
@@ -63,7 +63,9 @@ TOPICS = {
         """\
   tunenet-tune run.mcap --model robot.xml --tune joint/elbow.damping=0:5 --dry-run
   tunenet-tune run.mcap --model robot.xml --tune body/tool.mass=0:2 --tune delay/commands
-  tunenet-tune run.mcap --model robot.urdf --tune tuned.yaml --map /arm/j1=joint/elbow""",
+  tunenet-tune run.mcap --model robot.urdf --tune tuned.yaml --map /arm/j1=joint/elbow
+  tunenet-tune a.mcap b.mcap --model robot.xml --tune tuned.yaml --together
+  tunenet-tune a.mcap b.mcap --model robot.xml --tune tuned.yaml --together --hold-out c.mcap""",
     ),
     "files": Topic(
         "what a file does not say itself",
@@ -105,6 +107,12 @@ def build_parser() -> Parser:
         "'runs/**/*.mcap'",
     )
     add("-o", "--output", type=Path, metavar="DIR", help="folder for the results")
+    for topic in ("files", "drop", "payload"):  # whose options stand before the model's
+        parser.topic(topic)
+    words = tuning_options.TuneOptions.__dataclass_fields__["together"].metadata["option"].help
+    parser.topic("model").add_argument(
+        "--together", action="store_const", const=(), help=words.partition(" (in Python")[0]
+    )
     add_options(tuning_options.TuneOptions, parser.place)
     parser.topic("drop").add_argument(
         "--preview",
@@ -179,14 +187,16 @@ def _tune(arguments: argparse.Namespace) -> int:
     writing = _writing(arguments)
     shows_table = arguments.json is None or not is_stdout(arguments.json)
     progress = Progress(quiet=arguments.quiet, has_bars=shows_table)
+    found = find_logs(arguments.logs)
     options = options_of(given(arguments, tuning_options.TuneOptions), arguments.logs)
     for doubt in options.ball_doubts:
         progress.say(f"tunenet-tune: {doubt}")
     if arguments.preview:
         options = _marked(arguments.logs[0], options, progress)
-    found = find_logs(arguments.logs)
     if arguments.dry_run:
         return _plan(found.logs, options)
+    if arguments.together is not None:
+        options, found = _together(found, options, is_resumed=arguments.resume)
     wants_ledger = arguments.resume or arguments.csv is not None
     if wants_ledger and arguments.output is None:
         raise UsageError("--resume and --csv are about the ledger in -o DIR; give it")
@@ -211,6 +221,24 @@ def _tune(arguments: argparse.Namespace) -> int:
         batch = run_batch(order, progress, after=closing, each=each)
     show(batch, len(found.logs), has_table=shows_table, is_verbose=arguments.verbose)
     return int(batch.failed > 0)
+
+
+def _together(
+    found: FoundLogs, options: TuneOptions, *, is_resumed: bool
+) -> tuple[TuneOptions, FoundLogs]:
+    """Return the options with all logs but the first, and that alone."""
+    if options.source is None:
+        raise UsageError("--together is about a model of one's own; name it with --model")
+    if is_resumed:
+        raise UsageError("--together does not go with --resume; leave one out")
+    first, *others = found.logs
+    if not others:
+        raise UsageError(f"{first.log}: --together is for two logs or more; name another")
+    logs = [one.log for one in found.logs]
+    if far := [log for log in logs if not isinstance(log, Path)]:
+        raise UsageError(f"{far[0]}: --together is for logs on this machine; copy it here first")
+    paths = [log for log in logs if isinstance(log, Path)]
+    return replace(options, together=tuple(paths[1:])), replace(found, logs=found.logs[:1])
 
 
 def _check_preview(arguments: argparse.Namespace) -> None:

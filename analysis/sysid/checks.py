@@ -6,11 +6,27 @@ An unidentifiable parameter comes with advice on the motion that excites it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from tunenet_logs.analysis.checks import Check, CheckSpec, Limit, at_least, at_most, table
-from tunenet_logs.analysis.sysid.fit import ComparedColumns, SimulatorFit, noise_of
+from tunenet_logs.analysis.checks import (
+    Check,
+    CheckSpec,
+    Limit,
+    at_least,
+    at_most,
+    log_checks,
+    table,
+)
+from tunenet_logs.analysis.sysid.fit import (
+    Agreement,
+    ComparedColumns,
+    HeldOut,
+    SimulatorFit,
+    noise_of,
+)
+from tunenet_logs.analysis.sysid.source import SimulatorDetection
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.recorders.simulators.model.rollout import STOPPED
 from tunenet_logs.terminal import listed
@@ -91,11 +107,23 @@ SYSID = table(
         "predicts what it was not fitted to",
         at_most(2, "", ".3g"),
         seen="from {from_s:.2f} s on, {column} is {value}{space}{unit} off, {before:.3g} before "
-        "tuning",
+        "tuning{begins}",
         wanted="wanted: under {limit}",
-        measures="error of a fit to the first 60 % of the time on the rest",
-        passes="twice what the whole fit leaves, or 2 % of how much a column varies beyond that",
+        measures="error of a fit to the first 60 % of the time on the rest, whose start is fitted; "
+        "begun anew before a small error of its start has grown tenfold",
+        passes="at most twice the noise, or 3 % of how much the column varies there; a straight "
+        "line must miss something by twice that. Where the machine rests, or a log does not show "
+        "every joint: twice what the whole fit leaves, or 2 % of how much a column varies beyond",
         advice=_WRONG_MODEL,
+    ),
+    CheckSpec(
+        "the logs agree",
+        at_most(4, "standard deviations", ".1f"),
+        seen="{name} is {alone:.3g} by {log} alone and {others:.3g} by {rest}, {value} standard "
+        "deviations apart",
+        measures="of several logs, how far a value by one alone is from that by all others",
+        passes="at most {limit} standard deviations",
+        advice="leave that log out, or find what was different: what it carried, how warm it was",
     ),
     CheckSpec(
         "inside its range",
@@ -163,32 +191,68 @@ def match_check(target: ComparedColumns, residuals: Array) -> Check:
     return spec.measured(100 * share, 100 * limits[place], column=target.columns[place].label)
 
 
+def _held_out_check(found: SimulatorFit, held_out: HeldOut) -> Check:
+    """Check that a fit predicts what it has not seen."""
+    spec, columns = SYSID["predicts what it was not fitted to"], held_out.columns
+    if held_out.horizon_s is None:
+        noise, spread = np.array([(one.noise, one.spread) for one in columns]).T
+        floor = np.maximum(found.target.rms(found.solution.residuals), noise)
+        # As close is good whatever the fit left.
+        limits = np.maximum(spec.limit.value * floor, floor + 0.02 * spread)
+        limits = np.maximum(limits, 1e-12)
+    else:
+        limits = held_out.limits
+    place = int(np.argmax(held_out.rms / limits))
+    column = columns[place]
+    begins = f", begun anew every {held_out.horizon_s:.2g} s" if held_out.count > 1 else ""
+    if not held_out.is_told:
+        begins += ", in which a straight line does as well"
+    return spec.measured(
+        held_out.rms[place],
+        limits[place],
+        passed=None if held_out.is_told else False,
+        unit="" if column.unit == "1" else column.unit,
+        space="" if column.unit == "1" else " ",
+        from_s=held_out.from_s[place],
+        column=column.label,
+        before=held_out.before[place],
+        begins=begins,
+    )
+
+
+def agreement_check(found: SimulatorFit, agreement: Agreement) -> Check:
+    """Check that no log contradicts the others."""
+    log, place = np.unravel_index(int(np.argmax(agreement.apart)), agreement.apart.shape)
+    names = agreement.names
+    return SYSID["the logs agree"].measured(
+        agreement.apart[log, place],
+        name=found.parameters[place].name,
+        log=names[log],
+        rest="the others" if len(names) > 2 else names[1 - log],
+        alone=agreement.alone[log, place],
+        others=agreement.others[log, place],
+    )
+
+
+def other_checks(detection: SimulatorDetection, found: SimulatorFit | None) -> tuple[Check, ...]:
+    """Check the other logs: their files, that one held out moves, and whether one contradicts."""
+    checks: list[Check] = []
+    for name, log in detection.others.items():
+        checks += [replace(one, name=f"{name}: {one.name}") for one in log_checks(log, ())[:1]]
+    for one in detection.connected.unseen:
+        if one.place is None:
+            moves = recording_checks(one.target)
+            checks += [replace(each, name=f"{one.name}: {each.name}") for each in moves]
+    if found is not None and found.agreement is not None:
+        checks.append(agreement_check(found, found.agreement))
+    return tuple(checks)
+
+
 def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
     """Check an exact fit: hold-out, bounds, identifiability, step size."""
     checks: list[Check] = []
     if found.held_out is not None:
-        # Check that a fit to the beginning predicts the end, and better than the given model.
-        held_out = found.held_out
-        spec, target = SYSID["predicts what it was not fitted to"], found.target
-        inside = target.rms(found.solution.residuals)
-        limits = np.zeros(len(target.columns))
-        for number, column in enumerate(target.columns):
-            floor = max(inside[number], column.noise)
-            slack = floor + 0.02 * column.spread  # as close is good whatever the fit left
-            limits[number] = max(spec.limit.value * floor, slack, 1e-12)
-        place = int(np.argmax(held_out.rms / limits))
-        column = target.columns[place]
-        checks.append(
-            spec.measured(
-                held_out.rms[place],
-                limits[place],
-                unit="" if column.unit == "1" else column.unit,
-                space="" if column.unit == "1" else " ",
-                from_s=held_out.from_s,
-                column=column.label,
-                before=held_out.before[place],
-            )
-        )
+        checks.append(_held_out_check(found, found.held_out))
     # Values on the ends of their ranges.
     tuned = found.parameters[: found.tuned]
     edged: list[str] = []

@@ -9,7 +9,8 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,28 +26,33 @@ from tunenet_logs.analysis.estimators.base import (
     Step,
     Trace,
 )
-from tunenet_logs.analysis.experiment import Claim, Preset
+from tunenet_logs.analysis.experiment import Claim, Preset, drop_invalid_samples
 from tunenet_logs.analysis.options import Subject, TuneOptions
 from tunenet_logs.analysis.record import Motion, Rebound
 from tunenet_logs.analysis.sysid.checks import (
     fit_checks,
     match_check,
+    other_checks,
     recording_checks,
     whole_check,
 )
 from tunenet_logs.analysis.sysid.fit import ComparedColumns, SimulatorFit, fit_simulator
+from tunenet_logs.analysis.sysid.horizons import Begun, Unseen, predicted
 from tunenet_logs.analysis.sysid.source import (
     Connected,
     Rollouts,
     SimulatorDetection,
     SimulatorSource,
     part_of,
+    tuned_first,
     with_joints,
 )
+from tunenet_logs.analysis.sysid.together import held_out_log, names_of, together
 from tunenet_logs.analysis.tunenet.network import Model, PairSet, Recipe, WideNetwork, train
 from tunenet_logs.analysis.tunenet.weights import Purpose, load_model, save_model
 from tunenet_logs.episode import Array, Episode, LeftOut
-from tunenet_logs.errors import LogError, TuneNetError
+from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageError
+from tunenet_logs.files import real_path
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.simulators.base import Parameter
 from tunenet_logs.terminal import Progress, told
@@ -150,7 +156,7 @@ class SimulatorProblem(Problem):
     def __init__(self, connected: Connected, initial: Array, digest: str) -> None:
         self._connected = connected
         simulator, target = connected.simulator, connected.target
-        self._all = tuple(sorted(simulator.parameters, key=lambda one: one.prior_sd is not None))
+        self._all = tuned_first(simulator.parameters)
         self._rest = np.array([one.initial for one in self._all[len(initial) :]])
         # Of each column, by its spread: no simulator is right to all digits.
         shares = [one.noise / max(one.spread, 1e-12) for one in target.columns]
@@ -211,15 +217,38 @@ class SimulatorProblem(Problem):
 
         return run
 
+    def _charged(self, unseen: Unseen) -> Unseen:
+        """Wrap what is held out: each rollout that begins in it is charged as one."""
+
+        def charged(begun: Begun | None) -> Begun | None:
+            return begun and replace(begun, run=lambda values: counted(begun, values))
+
+        def counted(begun: Begun, values: Array) -> Array:
+            self.rollouts += len(values)
+            return begun.run(values)
+
+        def begin(from_s: float, until_s: float) -> Begun | None:
+            return unseen.begin and charged(unseen.begin(from_s, until_s))
+
+        return replace(unseen, begin=begin, whole=charged(unseen.whole))
+
     def _fit(self, start: Array) -> FitResult:
-        finer = self._connected.finer
+        connected = self._connected
+        finer, predict = connected.finer, None
+        if connected.unseen:
+            unseen = [self._charged(one) for one in connected.unseen]
+            given = np.array([one.initial for one in self.parameters])
+            predict = partial(predicted, unseen, given)
         fit = fit_simulator(
-            self._counted(self._connected.rollouts),
+            self._counted(connected.rollouts),
             None if finer is None else self._counted(finer),
-            self._connected.target,
+            connected.target,
             self._all,
             start,
-            np.array([self._connected.unresolved.get(one.name, 0.0) for one in self._all]),
+            np.array([connected.unresolved.get(one.name, 0.0) for one in self._all]),
+            predict,
+            connected.later,
+            connected.logs,
         )
         found: SimulatorFit = fit.detail
         self._rest = found.solution.values[len(start) :]
@@ -234,6 +263,7 @@ class SimulatorExperiment:
     """See `Experiment`."""
 
     source: SimulatorSource  # of the simulator
+    log: Path = Path()  # that an episode is of
 
     name = "simulator"
     kind = "simulator"
@@ -254,13 +284,41 @@ class SimulatorExperiment:
     def detect(self, episode: Episode, selection: TuneOptions, preset: str) -> SimulatorDetection:
         """Match the log's signals with the simulator's; see `Experiment.detect`."""
         del preset
-        part = part_of(episode, selection.start_s, selection.end_s)
-        connected = self.source.connect(part)
+        for one in (*selection.together, selection.hold_out):
+            if isinstance(one, Path) and real_path(one) == real_path(self.log):
+                raise UsageError(f"{one} is named twice; name each run of the machine once")
+        logs = [self.log, *(_path_of(one, "log") for one in selection.together)]
+        names = names_of(logs)
+        parts, episodes = list[Connected](), [episode]
+        episodes += [_read(one, selection) for one in selection.together]
+        for log, one in zip(logs, episodes, strict=True):
+            parts.append(self._connected(one, selection, log if one is not episode else None))
+        connected = together(names, parts) if len(parts) > 1 else parts[0]
+        others = dict(zip(names[1:], episodes[1:], strict=True))
+        if selection.hold_out is not None:
+            log = _path_of(selection.hold_out, "held out")
+            name = f"{names_of([log])[0]} (held out)" if log.suffix else log.name
+            others[name] = held_out = _read(selection.hold_out, selection)
+            unseen = held_out_log(name, self._connected(held_out, selection, log))
+            nothing = np.zeros(len(connected.target.values), dtype=np.bool_)
+            connected = replace(connected, unseen=(unseen,), later=nothing)
         first_ns = min(int(one.stamps_ns[0]) for one in episode.signals.values())
         offset_s = (connected.target.start_ns - first_ns) * 1e-9
-        names = {column.signal for column in connected.target.columns}
-        lacking = tuple(LeftOut.of_signal(episode.signals[name]) for name in sorted(names))
-        return SimulatorDetection(self.source, connected, offset_s, lacking)
+        lacking = [
+            LeftOut.of_signal(one.signals[signal])
+            for part, one in zip(parts, episodes, strict=True)
+            for signal in sorted({column.signal for column in part.target.columns})
+        ]
+        return SimulatorDetection(self.source, connected, offset_s, tuple(lacking), others)
+
+    def _connected(self, episode: Episode, selection: TuneOptions, log: Path | None) -> Connected:
+        """Connect a log; what is wrong with another than the first names it."""
+        try:
+            return self.source.connect(part_of(episode, selection.start_s, selection.end_s))
+        except (NotFoundError, LogError) as error:
+            if log is None:
+                raise
+            raise type(error)(f"{log}: {error.what}", error.remedy) from error
 
     def problem(self, detection: SimulatorDetection, initial: Array) -> Problem:
         """Pose least squares by rollouts; see `Experiment.problem`."""
@@ -275,7 +333,8 @@ class SimulatorExperiment:
         residuals = target.seen_in(last.evaluation.episode) - target.values
         whole = whole_check(last.evaluation.episode)
         checks = (*recording_checks(target), *([whole] if whole else []))
-        checks = (*checks, match_check(target, residuals))
+        others = other_checks(detection, fit.detail if fit else None)
+        checks = (*checks, *others, match_check(target, residuals))
         return (*checks, *fit_checks(fit.detail)) if fit else checks
 
     def cross_check(self, detection: SimulatorDetection, estimate: Array) -> CrossCheck | None:
@@ -302,6 +361,17 @@ class SimulatorExperiment:
         from tunenet_logs.analysis.sysid.review import log_simulator
 
         return log_simulator(stream, tuning)
+
+
+def _path_of(log: Path | Episode, name: str) -> Path:
+    """Return a log's path; of an episode in memory what it is called."""
+    return log if isinstance(log, Path) else Path(name)
+
+
+def _read(log: Path | Episode, selection: TuneOptions) -> Episode:
+    """Read another log of the machine; LogError if it cannot be."""
+    episode = log if isinstance(log, Episode) else read_episode(log, selection.reading)
+    return trim_clock_jumps(drop_invalid_samples(episode))
 
 
 # ---- Plan: how a log would drive a model and be compared with it, before tuning

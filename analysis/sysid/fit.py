@@ -82,19 +82,51 @@ class ComparedColumns:
         """Repeat one number per column for each of its values, shape (N,)."""
         return np.asarray(by_column, dtype=np.float64)[self.which]
 
+    def clock_of(self, rollout: Episode) -> int:
+        """Return the stamp of a rollout's that the seconds count from: the log's, or its first.
+
+        A simulator may have a clock of its own.
+        """
+        shown = {column.signal for column in self.columns}
+        stamps = [one.stamps_ns for name, one in rollout.signals.items() if name in shown]
+        stamps = [one for one in stamps if len(one)]
+        first_ns = min((int(one[0]) for one in stamps), default=self.start_ns)
+        last_ns = max((int(one[-1]) for one in stamps), default=self.start_ns)
+        return self.start_ns if first_ns <= self.start_ns <= last_ns else first_ns
+
     def seen_in(self, rollout: Episode) -> Array:
         """Interpolate a rollout at the same stamps, shape (N,); NaN where it has nothing."""
         found: list[Array] = []
+        start_ns = self.clock_of(rollout)
         for column in self.columns:
             signal, track = rollout.signals.get(column.signal), np.full(len(column.seconds), np.nan)
-            if signal is not None and column.name in signal.columns:
-                first, last = int(signal.stamps_ns[0]), int(signal.stamps_ns[-1])
-                start_ns = self.start_ns if first <= self.start_ns <= last else first
+            if signal is not None and column.name in signal.columns and len(signal.stamps_ns):
                 at_s, values = (signal.stamps_ns - start_ns) * 1e-9, signal.values
                 track = values[:, signal.columns.index(column.name)]
                 track = np.interp(column.seconds, at_s, track, left=np.nan, right=np.nan)
             found.append(track)
         return np.concatenate(found)
+
+    def between(self, from_s: float, until_s: float) -> NDArray[np.bool_]:
+        """Return which values lie in a part of the log, its end excluded, shape (N,)."""
+        return (self.seconds >= from_s) & (self.seconds < until_s)
+
+    def part(self, from_s: float, until_s: float) -> ComparedColumns:
+        """Cut out a part, whose seconds count from its own first stamp; NotFoundError if empty."""
+        kept = [(one.seconds >= from_s) & (one.seconds < until_s) for one in self.columns]
+        cut = [(one, keep) for one, keep in zip(self.columns, kept, strict=True) if keep.any()]
+        if not cut:
+            raise NotFoundError(f"nothing is seen from {from_s:.2f} to {until_s:.2f} s")
+        first_ns = min(round(float(one.seconds[keep][0]) * 1e9) for one, keep in cut)
+        columns = tuple(
+            replace(
+                one,
+                seconds=1e-9 * (np.round(one.seconds[keep] * 1e9) - first_ns),
+                values=one.values[keep],
+            )
+            for one, keep in cut
+        )
+        return ComparedColumns(self.start_ns + first_ns, columns)
 
     def rms(self, residuals: Array, chosen: NDArray[np.bool_] | None = None) -> Array:
         """Return the root mean square by column, shape (C,), of (chosen) values of shape (N,)."""
@@ -215,7 +247,6 @@ class Differences:
 
 
 # ---- Nonlinear least squares by rollouts: Levenberg-Marquardt
-# ---- Nonlinear least squares by rollouts: Levenberg-Marquardt
 # The columns' noise is not known beforehand: in the end, each is weighted by its residual.
 
 # Rollouts at values of shape (N, P) -> what they show at the log's stamps, shape (N, M).
@@ -254,7 +285,7 @@ class RolloutLeastSquares:
     run: Run  # makes rollouts
     target: ComparedColumns  # columns to compare with
     parameters: tuple[Parameter, ...]  # all that are fitted, P of them
-    until_s: float | None = None  # later samples are left out; None for all
+    fitted: NDArray[np.bool_] | None = None  # which values it is fitted to, shape (M,); None: all
 
     def __post_init__(self) -> None:
         self._scales = ranges_of(self.parameters)
@@ -263,8 +294,8 @@ class RolloutLeastSquares:
         self._precision = np.array(
             [0.0 if one.prior_sd is None else one.prior_sd**-2 for one in self.parameters]
         )
-        ends = self.target.end_s if self.until_s is None else self.until_s
-        self.chosen = self.target.seconds <= ends
+        every = np.ones(len(self.target.values), dtype=np.bool_)
+        self.chosen = every if self.fitted is None else self.fitted
         self._spread = np.array([column.spread for column in self.target.columns])
         # A simulator is never weighed as more exact than this share of a column's spread.
         self._floor = np.maximum(1e-3 * self._spread, 1e-12)
@@ -529,17 +560,56 @@ def covariance(
 
 # ---- Fit of all parameters, its hold-out, and how sure each is
 
+_MISSED = 0.03  # of how much a column varies in what is held out, that may be missed
 _CONTRADICTS = 4.0  # of the cost, twice a log likelihood: two standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Hold-out: prediction of the part of the log that was not fitted."""
+    """Hold-out: prediction of what was not fitted, in C columns."""
 
-    from_s: float  # where that part begins
-    simulated: Array  # of a fit to what is before, shape (M,)
-    rms: Array  # residual in that part, by column, shape (C,)
-    before: Array  # residual there of the simulator as given, shape (C,)
+    columns: tuple[Column, ...]  # what is predicted
+    from_s: Array  # where its part begins in each, shape (C,)
+    rms: Array  # residual there, shape (C,)
+    before: Array  # that of the simulator as given, shape (C,)
+    simulated: Array | None  # of the log that was fitted, shape (M,); None if it is another's
+    horizon_s: float | None = None  # how long it lasts before it begins anew; None if it never does
+    count: int = 1  # how many times it begins
+    # Residual of straight lines in its place, and standard deviation there, shape (C,) both.
+    straight: Array | None = None
+    spread: Array | None = None
+
+    @property
+    def limits(self) -> Array:
+        """What may be missed where a prediction begins with its own start, shape (C,)."""
+        assert self.spread is not None
+        most = [
+            max(one.spread for one in self.columns if one.unit == each.unit)
+            for each in self.columns
+        ]
+        noise = np.array([one.noise for one in self.columns])
+        least = np.maximum(0.1 * _MISSED * np.array(most), 2.0 * noise)
+        return np.maximum(np.maximum(_MISSED * self.spread, least), 1e-12)
+
+    @property
+    def is_told(self) -> bool:
+        """Whether something is to be predicted: by straight lines it is missed by twice that."""
+        return self.straight is None or bool((self.straight > 2 * self.limits).any())
+
+
+# From values of the T tuned parameters, which saw nothing of it, and what the simulator as given
+# shows, shape (M,); None if nothing can be told.
+Predict = Callable[[Array, Array], HeldOut | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """What each of L logs says of the T tuned parameters by itself, and all others of them."""
+
+    names: tuple[str, ...]  # of the logs
+    alone: Array  # shape (L, T)
+    others: Array  # shape (L, T)
+    apart: Array  # difference, in standard deviations, shape (L, T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -559,6 +629,7 @@ class SimulatorFit:
     held_out: HeldOut | None  # None if the log is too short
     correlation: Array  # of all values, shape (P, P)
     inflation: Array  # ratio of each sd to that with all others known, shape (P,)
+    agreement: Agreement | None = None  # of several logs
 
     @property
     def unidentifiable(self) -> tuple[Parameter, ...]:
@@ -581,11 +652,16 @@ def fit_simulator(
     parameters: tuple[Parameter, ...],
     start: Array,
     unresolved: Array | None = None,
+    predict: Predict | None = None,
+    later: NDArray[np.bool_] | None = None,
+    logs: tuple[tuple[str, ...], NDArray[np.intp]] | None = None,
 ) -> FitResult:
     """Fit all parameters to a log, the user's from `start`, shape (T,).
 
     `finer` makes rollouts with half the time step; `unresolved` is what the step leaves unsure of
-    each parameter, one standard deviation, shape (P,).
+    each parameter, one standard deviation, shape (P,). `predict` tells how well a fit predicts
+    what is held out, `later` what of the log that is, shape (M,): the last 40 % of the time. `logs`
+    are the names of several, and which each value is of, shape (M,).
     """
     tuned = len(start)
     steps = RolloutLeastSquares(run, target, parameters)
@@ -625,9 +701,12 @@ def fit_simulator(
         wide,
         half95,
         shift,
-        _held_out(steps, solution, first),
+        _held_out(
+            steps, solution, first, tuned, later_part(target) if later is None else later, predict
+        ),
         correlation,
         steps.inflation(solution),
+        None if logs is None else _agreement(steps, solution, tuned, *logs),
     )
     posterior = Posterior(
         tuple((half95[:tuned] / 1.96).tolist()),  # as wide as the intervals
@@ -717,16 +796,67 @@ def _moved_by(
     return np.linalg.solve(normal, slopes.T @ (weights * change)) * scales
 
 
-def _held_out(steps: RolloutLeastSquares, solution: Solution, first: Array) -> HeldOut | None:
-    # A second fit to the first 60 % of the log is judged by what comes after.
-    target, from_s = steps.target, 0.6 * steps.target.end_s
-    later = target.seconds > from_s
-    if min(np.bincount(target.which[later], minlength=len(target.columns))) < 2:
+def _agreement(
+    steps: RolloutLeastSquares,
+    solution: Solution,
+    tuned: int,
+    names: tuple[str, ...],
+    which: NDArray[np.intp],
+) -> Agreement:
+    """Refit to each log alone, and to all others, by two Gauss-Newton steps each."""
+
+    def refitted(chosen: NDArray[np.bool_]) -> tuple[Array, Array]:
+        part, found = replace(steps, fitted=chosen), solution
+        for _ in range(2):
+            values, residuals = part.one_step(found)
+            noise = part.left(residuals)
+            found = replace(found, values=values, residuals=residuals, noise=noise, chosen=chosen)
+        cov, _ = covariance(found, steps.target, steps.parameters)
+        return found.values[:tuned], np.diag(cov)[:tuned]
+
+    each = [(refitted(which == log), refitted(which != log)) for log in range(len(names))]
+    alone, others = (np.array([one[side][0] for one in each]) for side in (0, 1))
+    variance = np.array([one[0][1] + one[1][1] for one in each])
+    return Agreement(names, alone, others, np.abs(alone - others) / np.sqrt(variance))
+
+
+FITTED = 0.6  # of the time: the rest is held out
+
+
+def later_part(target: ComparedColumns) -> NDArray[np.bool_]:
+    """Return what is held out of a log, shape (M,): the last 40 % of the time."""
+    return target.seconds > FITTED * target.end_s
+
+
+def _held_out(
+    steps: RolloutLeastSquares,
+    solution: Solution,
+    first: Array,
+    tuned: int,
+    later: NDArray[np.bool_],
+    predict: Predict | None,
+) -> HeldOut | None:
+    """Judge a second fit, to what is not held out, by the rest."""
+    target, residuals, values = steps.target, solution.residuals, solution.values
+    if later.any():
+        if min(np.bincount(target.which[later], minlength=len(target.columns))) < 2:
+            return None
+        values, residuals = replace(steps, fitted=~later).one_step(solution)
+    if predict is not None and (found := predict(values[:tuned], first)) is not None:
+        if found.simulated is None:
+            return found
+        before = np.where(later, np.nan, target.values + residuals)
+        return replace(found, simulated=np.where(later, found.simulated, before))
+    if not later.any():
         return None
-    _, residuals = replace(steps, until_s=from_s).one_step(solution)
+    begins = [
+        float(target.seconds[later & (target.which == number)][0])
+        for number in range(len(target.columns))
+    ]
     return HeldOut(
-        from_s,
-        target.values + residuals,
+        target.columns,
+        np.array(begins),
         target.rms(residuals, later),
         target.rms(first - target.values, later),
+        target.values + residuals,
     )

@@ -20,7 +20,7 @@ import rerun.blueprint as rrb
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.presentation import markdown_table, quantity, said_names
 from tunenet_logs.analysis.review import drawing as draw
-from tunenet_logs.analysis.sysid.fit import HeldOut, SimulatorFit
+from tunenet_logs.analysis.sysid.fit import HeldOut, SimulatorFit, later_part
 from tunenet_logs.analysis.sysid.source import SimulatorDetection
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulators.base import Parameter
@@ -84,6 +84,7 @@ class ShownColumn:
     rms: Array  # residual of each iteration, shape (K,)
     # Hold-out residual of the fit to the first part, and of the simulator as given; None without.
     held_out_rms: tuple[float, float] | None
+    held_out_s: float | None  # where its hold-out begins, on the axis of `seconds`; None without
 
     def title(self, what: str = "") -> str:
         """Format the name with its unit: "position elbow [rad]"."""
@@ -109,7 +110,7 @@ class SimulatorReviewData:
     drawn: tuple[int, ...]  # indices of the iterates that are drawn over the log's time
     parameters: tuple[Parameter, ...]  # that were tuned, P of them
     interval95: Array | None  # of the result, shape (P, 2); None if no valid one exists
-    held_out_s: float | None  # start of the hold-out; None if there is none
+    held_out_s: float | None  # start of the first hold-out; None if there is none
     first_s: float  # first stamp [s since the log's first sample]
 
     @property
@@ -124,7 +125,7 @@ def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
     target = found.connected.target
     assert tuning.trace is not None
     fit: SimulatorFit | None = tuning.trace.fit.detail if tuning.trace.fit else None
-    held = fit.held_out if fit else None
+    held = fit.held_out if fit and fit.held_out and fit.held_out.simulated is not None else None
     seen = np.column_stack([np.full(len(target.values), np.nan)] * len(tuning.trace.steps))
     iterates: list[Iterate] = []
     count = len(tuning.trace.steps)
@@ -167,7 +168,7 @@ def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
         tuple(lines.tolist()),
         tuple(tuning.parameters),
         None if interval is None else np.asarray(interval),
-        None if held is None else held.from_s + found.offset_s,
+        min((one.held_out_s for one in columns if one.held_out_s is not None), default=None),
         found.offset_s + float(target.seconds.min()),
     )
 
@@ -183,6 +184,8 @@ def _shown(
     target = found.connected.target
     column = target.columns[number]
     every = draw.drawn_every(column.seconds)
+    later = found.connected.later
+    later = (later_part(target) if later is None else later)[target.which == number]
     kept = np.flatnonzero(target.which == number)[::every]
     off = seen[target.which == number] - column.values[:, None]
     counts = np.maximum(np.isfinite(off).sum(axis=0), 1)
@@ -193,10 +196,11 @@ def _shown(
         column.seconds[::every] + found.offset_s,
         column.values[::every],
         seen[kept],
-        None if held is None else held.simulated[kept],
+        None if held is None or held.simulated is None else held.simulated[kept],
         None if held is None or fit is None else fit.first[kept],
         np.sqrt(np.nansum(off**2, axis=0) / counts),
         None if held is None else (float(held.rms[number]), float(held.before[number])),
+        None if held is None else float(column.seconds[later][0]) + found.offset_s,
     )
 
 
@@ -215,7 +219,8 @@ def log_held_out(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.C
     for number, column in enumerate(data.main):
         assert column.fitted is not None
         assert column.given is not None
-        entity, later = f"held_out/{number}", column.seconds > from_s
+        assert column.held_out_s is not None
+        entity, later = f"held_out/{number}", column.seconds >= column.held_out_s
         for name, values, color, width in (
             ("given", column.given, _GIVEN, 0.8),
             ("fitted", np.where(later, np.nan, column.fitted), draw.FITTED, 1.6),
@@ -226,8 +231,8 @@ def log_held_out(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.C
                 draw.log_lines(stream, f"{entity}/{name}", times_s, curve, [(name, color, width)])
         span = column.shown(column.fitted)
         log_observed(stream, entity, column.seconds, column.observed)
-        log_upright(stream, f"{entity}/begins", from_s, span)
-        title = column.title(f"predicted from {from_s:.2f} s")
+        log_upright(stream, f"{entity}/begins", column.held_out_s, span)
+        title = column.title(f"predicted from {column.held_out_s:.2f} s")
         views.append(draw.plot_view(entity, title, draw.ticked(*span)))
     entries: list[tuple[str, list[draw.Color]]] = [
         ("observed", [draw.OBSERVED]),
@@ -246,7 +251,7 @@ def log_held_out(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.C
     words = [
         f"# from {from_s:.2f} s on",
         "The simulator was fitted a second time, to what is before; what comes after, it has not "
-        "seen.",
+        "seen. Only the start of what comes after is fitted to it.",
         markdown_table(head, rows),
     ]
     draw.log_words(stream, "held_out_words", "\n\n".join(words))
@@ -674,8 +679,8 @@ def _log_plots(
         span, values = column.shown(column.simulated[:, -1]), column.simulated[:, data.drawn]
         draw.log_lines(stream, f"{entity}/iterations", column.seconds, values, style)
         log_observed(stream, entity, column.seconds, column.observed)
-        if data.held_out_s is not None:
-            log_upright(stream, f"{entity}/held_out", data.held_out_s, span)
+        if column.held_out_s is not None:
+            log_upright(stream, f"{entity}/held_out", column.held_out_s, span)
         curves.append(draw.plot_view(entity, column.title(), draw.ticked(*span)))
         off = values - column.observed[:, None]
         draw.log_lines(stream, f"{residual}/iterations", column.seconds, off, style)

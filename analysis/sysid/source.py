@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tunenet_logs.analysis.record import TunedModel
-from tunenet_logs.analysis.sysid.fit import ComparedColumns, compared, noise_of
+from tunenet_logs.analysis.sysid.fit import FITTED, ComparedColumns, compared, noise_of
+from tunenet_logs.analysis.sysid.horizons import Begun, Unseen
 from tunenet_logs.analysis.sysid.matching import rotations
 from tunenet_logs.episode import Array, Episode, LeftOut
 from tunenet_logs.errors import LogError, UsageError
@@ -35,6 +36,7 @@ from tunenet_logs.terminal import listed, one_line, short_name
 if TYPE_CHECKING:
     from tunenet_logs.recorders.simulators.model.parameters import ModelParameter
     from tunenet_logs.recorders.simulators.model.reading import ModelFiles, ModelProcess
+    from tunenet_logs.recorders.simulators.model.rollout import ModelSimulator
 
 
 # ---- Value and slope of sampled curves at a stamp, by their first samples
@@ -124,14 +126,20 @@ def stays(samples: Samples | None, stamp_ns: int) -> bool:
 
 # ---- Sources, and what connects them with a log
 
-Rollouts = Callable[[Array], list[Episode]]  # values of all parameters, shape (N, P) -> N episodes
+# Values of all parameters, shape (N, P), in the order of `tuned_first` -> N episodes
+Rollouts = Callable[[Array], list[Episode]]
+
+
+def tuned_first(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """Return parameters in the order of a rollout's values: those without a prior come first."""
+    return tuple(sorted(parameters, key=lambda one: one.prior_sd is not None))
 
 
 @dataclass(frozen=True, eq=False)
 class Connected:
     """Simulator that is driven as a log was."""
 
-    simulator: Simulator  # its tuned parameters, those without a prior, come first
+    simulator: Simulator
     target: ComparedColumns  # columns of the log to compare with
     rollouts: Rollouts  # of it
     finer: Rollouts | None = None  # likewise with half the time step; None if there is none
@@ -140,6 +148,10 @@ class Connected:
     used: tuple[str, ...] = ()  # each signal of the log that is used, and its use, in words
     unused: tuple[str, ...] = ()  # each that is not, and why
     doubts: tuple[str, ...] = ()  # which of the used ones may be meant otherwise
+    unseen: tuple[Unseen, ...] = ()  # how what is held out is predicted; none if it cannot begin
+    # Which of several logs each value is of, shape (M,), and which are held out; None for one log.
+    logs: tuple[tuple[str, ...], NDArray[np.intp]] | None = None
+    later: NDArray[np.bool_] | None = None  # which values are held out, shape (M,), likewise
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,13 +183,13 @@ class GivenSimulator:
 
     def connect(self, episode: Episode) -> Connected:
         """Connect it to a log, which is compared with it; NotFoundError where it shows nothing."""
-        names = [one.name for one in self.simulator.parameters]
+        names = [one.name for one in tuned_first(self.simulator.parameters)]
 
         def rollouts(values: Array) -> list[Episode]:
             rows = [dict(zip(names, map(float, row), strict=True)) for row in values]
             return [self.simulator.rollout(row) for row in rows]
 
-        initial = np.array([[one.initial for one in self.simulator.parameters]])
+        initial = np.array([[one.initial for one in tuned_first(self.simulator.parameters)]])
         target = compared(episode, rollouts(initial)[0])
         used = tuple(f"{column.signal}: compared in {column.name}" for column in target.columns)
         unused = tuple(
@@ -298,7 +310,51 @@ class ModelSource:
             tuple(match.used),
             tuple(match.unused),
             (*match.joined, *doubts(match.sensed, rollout)),
+            (
+                Unseen(
+                    target,
+                    partial(_begun, self.model, simulator, match.starts(), target),
+                    FITTED * target.end_s,
+                ),
+            ),
         )
+
+
+def _begun(
+    model: Any,
+    simulator: ModelSimulator,
+    starts: Sequence[SensedSignal],
+    target: ComparedColumns,
+    from_s: float,
+    until_s: float,
+) -> Begun | None:
+    """Begin a model anew inside a log; None where the log does not show its whole state."""
+    part = target.part(from_s, until_s)
+    end_ns = part.start_ns + round(part.end_s * 1e9)
+    sensed, shown = (
+        [cut for one in some if (cut := _cut(one, part.start_ns, end_ns)) is not None]
+        for some in (simulator.sensed, starts)
+    )
+    if not shows_state(model, shown):
+        return None
+    state = initial_state(model, shown, part.start_ns)
+    again = replace(simulator, sensed=tuple(sensed), initial=state, end_ns=end_ns)
+    return Begun(part, state.unsure, lambda rows: seen_at(part, again.rollouts(rows)))
+
+
+def _cut(sensed: SensedSignal, from_ns: int, until_ns: int) -> SensedSignal | None:
+    """Cut a signal between two stamps; None if it has no samples there."""
+    signal = sensed.signal
+    kept = (signal.stamps_ns >= from_ns) & (signal.stamps_ns <= until_ns)
+    if not kept.any():
+        return None
+    cut = replace(signal, stamps_ns=signal.stamps_ns[kept], values=signal.values[kept])
+    return replace(sensed, signal=cut)
+
+
+def seen_at(target: ComparedColumns, episodes: Sequence[Episode]) -> Array:
+    """Interpolate rollouts at a log's stamps, shape (N, M)."""
+    return np.stack([target.seen_in(episode) for episode in episodes])
 
 
 SimulatorSource = GivenSimulator | ModelSource
@@ -346,6 +402,7 @@ class SimulatorDetection:
     connected: Connected  # the simulator, driven as the log was
     offset_s: float  # from the log's first sample to the first that is compared
     left_out: tuple[LeftOut, ...] = ()  # samples missing from each compared signal
+    others: Mapping[str, Episode] = field(default_factory=dict)  # other logs of it, by their names
 
     @property
     def topic(self) -> str:
@@ -366,7 +423,8 @@ class SimulatorDetection:
     def warnings(self) -> tuple[str, ...]:
         """Signals that are not used, and those whose meaning is doubtful."""
         unused = (f"not used: {words}" for words in self.connected.unused)
-        return (*unused, *self.connected.doubts)
+        said = (f"{name}: {one}" for name, log in self.others.items() for one in log.warnings)
+        return (*said, *unused, *self.connected.doubts)
 
 
 # ---- Initial orientation and angular velocity of a freely moving body
@@ -468,6 +526,23 @@ def initial_state(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> 
             unsure.append(_unsure(f"initial/{body}.spin.{axis}", "rad/s", value, sd))
             places.append((True, place_v + number))
     return InitialState(stamp_ns, qpos, qvel, tuple(unsure), tuple(places))
+
+
+def shows_state(model: Any, sensed: Sequence[SensedSignal]) -> bool:
+    """Return whether signals show the place of every joint, and nothing else has a state."""
+    sensed = seen_in_world(model, sensed)
+    seen = {
+        place_v
+        for (*_, place_v), (positions, _) in _shown(model, sensed).items()
+        if positions is not None and len(positions[0]) >= _MIN_SAMPLES
+    }
+    for one in sensed:
+        is_turn = one.sensors[0].kind == "framexaxis" and len(one.signal.values) >= _MIN_SAMPLES
+        joint = free_joint(model, one.sensors[0].name) if is_turn else None
+        if joint is not None:
+            first = int(model.jnt_dofadr[joint]) + 3
+            seen |= set(range(first, first + 3))
+    return len(seen) == model.nv and not model.na
 
 
 def _shown(

@@ -43,7 +43,14 @@ from tunenet_logs.analysis.payload.torque_fit import PayloadFit, fit_payload
 from tunenet_logs.analysis.payload.torque_model import arm_motion
 from tunenet_logs.analysis.record import SimulationFit
 from tunenet_logs.analysis.sysid import checks as sysid
-from tunenet_logs.analysis.sysid.fit import Column, ComparedColumns, HeldOut, SimulatorFit, noise_of
+from tunenet_logs.analysis.sysid.fit import (
+    Agreement,
+    Column,
+    ComparedColumns,
+    HeldOut,
+    SimulatorFit,
+    noise_of,
+)
 from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode, EpisodeInfo
@@ -414,6 +421,11 @@ def on_the_end() -> tuple[Check, ...]:
     return of_simulator(solution=replace(matched().solution, values=values))
 
 
+# Of two logs, by which one parameter is 2 and 3, ten standard deviations apart.
+APART = Agreement(
+    ("a", "b"), np.array([[2.0], [3.0]]), np.array([[3.0], [2.0]]), 10 * np.ones((2, 1))
+)
+
 SYSID: Faults = {
     "it moves": lambda: sysid.recording_checks(compared(SENSOR)),
     "simulation is whole": lambda: [
@@ -425,6 +437,7 @@ SYSID: Faults = {
         sysid.match_check(compared(STAIRS + SENSOR), SENSOR + np.sin(3 * SECONDS))
     ),
     "predicts what it was not fitted to": lambda: of_simulator(held_out=held_out()),
+    "the logs agree": lambda: once(sysid.agreement_check(matched(), APART)),
     "inside its range": on_the_end,
     "every parameter is identifiable": lambda: of_simulator(half95=1e3 + matched().half95),
     "the step is short enough": lambda: of_simulator(step_shift=matched().half95),

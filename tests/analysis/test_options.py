@@ -52,7 +52,7 @@ SAID: Mapping[str, Mapping[str, Any]] = {
 
 # Of no log: what is simulated, how it is fitted, and what needs a file or columns.
 OTHERS = {"model", "parameters", "mapping", "task", "preset", "method", "weights"}
-OTHERS |= {"arm_card", "columns"}
+OTHERS |= {"arm_card", "columns", "together", "hold_out"}
 
 
 def test_every_option_about_a_log_is_tried():

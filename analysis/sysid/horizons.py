@@ -1,0 +1,216 @@
+"""Predict a part of a log that was not fitted, horizon by horizon.
+
+What a lightly damped or chaotic machine does long after its start says more of the start than of
+the model. So a prediction begins anew inside the part, with the start that the log shows there, and
+lasts until a small error of that start would have grown tenfold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tunenet_logs.analysis.sysid.fit import (
+    ComparedColumns,
+    HeldOut,
+    RolloutLeastSquares,
+    Run,
+    ranges_of,
+)
+from tunenet_logs.episode import Array
+from tunenet_logs.errors import NotFoundError
+from tunenet_logs.recorders.simulators.base import Parameter
+
+_GROWTH = 10.0  # of an error of the start, at which a prediction ends
+_MOST = 10  # horizons in one part of a log
+_BINS = 200  # of time, over which growth is told
+_MIN_SAMPLES = 10  # of all columns together, for each number of a state
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """Simulator that begins anew inside a log, with the state that the log shows there."""
+
+    target: ComparedColumns  # what is compared, from there to the end that was asked for
+    starts: tuple[Parameter, ...]  # S of that state
+    run: Run  # rollouts at values of the T tuned parameters and of the state, shape (N, T + S)
+
+
+# Begins anew at a time and is compared until another [s]; None where the log does not show the
+# state.
+Begin = Callable[[float, float], Begun | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """What of one log is held out, and how the simulator begins in it."""
+
+    target: ComparedColumns  # of that log
+    begin: Begin | None  # None if it can begin nowhere but at the log's start
+    from_s: float  # where what is held out begins
+    name: str = ""  # the log's, where there are several
+    place: int | None = 0  # of its first value among all that are compared; None if none is
+    whole: Begun | None = None  # begins at the log's start; of a log that is held out whole
+
+
+def predicted(unseen: Sequence[Unseen], given: Array, tuned: Array, first: Array) -> HeldOut | None:
+    """Predict all that is held out with tuned values, shape (T,); None if a part of it cannot be.
+
+    `given` is the tuned parameters as given, `first` what the simulator shows then, shape (M,).
+    """
+    found: list[HeldOut] = []
+    simulated = np.full(len(first), np.nan)
+    for one in unseen:
+        here = slice(one.place, (one.place or 0) + len(one.target.values))
+        before = first[here]
+        if one.place is None:
+            assert one.whole is not None
+            start = np.array([each.initial for each in one.whole.starts])
+            before = one.whole.run(np.concatenate([given, start])[None])[0]
+        part = _by_horizons(one, before, tuned)
+        if part is None or part.simulated is None:
+            return None
+        if one.place is not None:
+            simulated[here] = part.simulated
+        prefix = f"{one.name}: " if one.name else ""
+        columns = (replace(each, signal=prefix + each.signal) for each in part.columns)
+        found.append(replace(part, columns=tuple(columns)))
+    if not found:
+        return None
+
+    def every(name: str) -> Array:
+        return np.concatenate([getattr(one, name) for one in found])
+
+    both = HeldOut(
+        tuple(column for one in found for column in one.columns),
+        every("from_s"),
+        every("rms"),
+        every("before"),
+        simulated if np.isfinite(simulated).any() else None,
+        min(one.horizon_s or 0.0 for one in found),
+        max(one.count for one in found),
+        every("straight"),
+        every("spread"),
+    )
+    # Where a machine rests at its end, only a rollout from the log's start says something.
+    return both if both.is_told or both.simulated is None else None
+
+
+def _by_horizons(unseen: Unseen, before: Array, tuned: Array) -> HeldOut | None:
+    """Predict one log; `before` is what the simulator as given shows, shape (M,).
+
+    The start of each horizon is fitted to its samples.
+    """
+    target, from_s = unseen.target, unseen.from_s
+    until_s = float(np.nextafter(target.end_s, np.inf))
+    simulated, straight = np.full((2, len(target.values)), np.nan)
+    at_s, horizons = from_s, list[float]()
+    while at_s < until_s:
+        begun, end_s = _begun(unseen.begin, at_s, until_s), until_s
+        if begun is None and unseen.whole is not None:  # it can begin but once
+            horizons.clear()
+            begun, at_s = unseen.whole, 0.0
+        elif begun is None:
+            return None
+        else:
+            span_s = until_s - at_s
+            enough = _MIN_SAMPLES * len(begun.starts) / len(begun.target.values)
+            least_s = max((until_s - from_s) / _MOST, min(enough, 1.0) * span_s)
+            horizon_s = max(_horizon_s(begun, tuned), least_s)
+            if span_s - horizon_s >= least_s:  # else what would be left is too short
+                end_s = at_s + horizon_s
+                begun = _begun(unseen.begin, at_s, end_s)
+                if begun is None:
+                    return None
+        inside = target.between(at_s, end_s)
+        simulated[inside] = _followed(begun, tuned)
+        straight[inside] = _straight(begun.target)
+        horizons.append(end_s - at_s)
+        at_s = end_s
+    seen = np.isfinite(simulated)
+    mine = [target.values[seen & (target.which == number)] for number in range(len(target.columns))]
+    return HeldOut(
+        target.columns,
+        np.full(len(mine), from_s),
+        target.rms(simulated - target.values),
+        target.rms(before - target.values, seen),
+        simulated,
+        min(horizons),
+        len(horizons),
+        target.rms(straight - target.values),
+        np.array([float(np.std(one)) if len(one) else 0.0 for one in mine]),
+    )
+
+
+def _begun(begin: Begin | None, from_s: float, until_s: float) -> Begun | None:
+    try:
+        begun = None if begin is None else begin(from_s, until_s)
+    except NotFoundError:
+        return None
+    return begun if begun and len(begun.target.values) > len(begun.starts) else None
+
+
+def _followed(begun: Begun, tuned: Array) -> Array:
+    """Fit the start to what is seen from there on; return what is simulated then, shape (N,)."""
+    run, lost = _with(begun.run, tuned), begun.target.values
+    if not begun.starts:
+        simulated = run(np.zeros((1, 0)))[0]
+        spread = begun.target.per_value([3.0 * one.spread for one in begun.target.columns])
+        return np.where(np.isfinite(simulated), simulated, lost + spread)
+    steps = RolloutLeastSquares(run, begun.target, begun.starts)
+    return lost + steps.solve(np.array([one.initial for one in begun.starts])).residuals
+
+
+def _with(run: Run, tuned: Array) -> Run:
+    """Return rollouts at values of the state alone, shape (N, S)."""
+    return lambda rows: run(np.column_stack([np.repeat(tuned[None], len(rows), axis=0), rows]))
+
+
+def _horizon_s(begun: Begun, tuned: Array) -> float:
+    """Return when a small error of the start has grown tenfold; the end if it never does.
+
+    It is measured against the largest that it is until the motion has changed by its own size: an
+    error of a speed is none of a place at first.
+    """
+    target, run = begun.target, _with(begun.run, tuned)
+    if not begun.starts:
+        return target.end_s
+    start = np.array([one.initial for one in begun.starts])
+    moved = np.diag(ranges_of(begun.starts))
+    seen = run(np.concatenate([start[None], start + moved]))
+    spread = target.per_value([max(one.spread, 1e-12) for one in target.columns])
+    apart = np.where(np.isfinite(seen[1:] - seen[0]), seen[1:] - seen[0], 0.0) / spread
+    place = np.minimum((target.seconds / max(target.end_s, 1e-9) * _BINS).astype(int), _BINS - 1)
+    counts = np.maximum(np.bincount(place, minlength=_BINS), 1)
+    error = np.array(
+        [np.sqrt(np.bincount(place, row**2, minlength=_BINS) / counts) for row in apart]
+    )
+    first = max(int(_BINS * _changes_s(target) / max(target.end_s, 1e-9)), 1)
+    begins = np.maximum(error[:, :first].max(axis=1), 1e-12)
+    grown = (error / begins[:, None]).max(axis=0) > _GROWTH
+    return target.end_s * (float(np.argmax(grown)) / _BINS if grown.any() else 1.0)
+
+
+def _changes_s(target: ComparedColumns) -> float:
+    """Return the time in which the fastest column changes by its standard deviation, rms."""
+    found = [target.end_s / _MOST]
+    for one in target.columns:
+        spread = float(np.std(one.values))
+        if spread < 3.0 * one.noise:
+            continue
+        for lag in range(1, max(len(one.values) // _MOST, 2)):
+            if np.mean((one.values[lag:] - one.values[:-lag]) ** 2) >= spread**2:
+                found.append(float(np.median(one.seconds[lag:] - one.seconds[:-lag])))
+                break
+    return min(found)
+
+
+def _straight(target: ComparedColumns) -> Array:
+    """Fit a straight line to each column, shape (N,)."""
+    found: list[Array] = []
+    for one in target.columns:
+        rows = np.column_stack([np.ones_like(one.seconds), one.seconds])
+        found.append(rows @ np.linalg.lstsq(rows, one.values, rcond=None)[0])
+    return np.concatenate(found)
