@@ -4,7 +4,8 @@ The ball is in closed form (`Bounce`): its restitution e at the first impact, ho
 speed, and the air's drag. The camera is a projective map of the vertical: a height u [drop heights]
 above contact appears at A + B phi(u), phi(u) = e^k u / (1 + (e^k - 1) u). A ball that also goes
 sideways changes its distance by a fraction d, and appears at A + (B e^k u + C d) / (1 + (e^k - 1) u
-+ d): a pinhole that looks along a slope. Recorded positions are a film whose camera is known: no
++ d): a pinhole that looks along a slope. A lens bends both by the cube of the distance from the
+picture's centre (`Lens`). Recorded positions are a film whose camera is known: no
 perspective k, and the span B is the drop height, as far as the log's metres are metres. Impacts
 that were heard, too, are further measurements (`AudioImpacts`): the sound is late by an offset that
 is unknown, and contacts last.

@@ -1,8 +1,9 @@
 """Find a drop in the track of a filmed ball, and fit ball and camera to it.
 
 From each impact that may be the first, fits of a bounce start from the best points of a grid. Late
-faults of clock or flights are cut off. A track without a drop says why. Finally, pictures whose
-stamps are in doubt are placed by the ball's flight.
+faults of clock or flights are cut off. A track without a drop says why. What was found is fitted
+once more with the lens's distortion, to the track's own noise. Finally, pictures whose stamps are
+in doubt are placed by the ball's flight.
 
 The scale is time: a fall that lasts T0 is g T0^2 / 2 high. So a film's frame rate must be its true
 one for the heights to be true; the restitution does not depend on it.

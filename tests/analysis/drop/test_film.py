@@ -11,7 +11,7 @@ from tests.analysis.answers import known, value
 from tests.analysis.drop.made import GRAVITY, filmed, pixels, track_of, with_a_lost_picture
 from tests.remedies import has_remedy
 from tests.strangers import bounce_heights
-from tunenet_logs.analysis.drop.bounce_model import TOUCH, BounceSamples
+from tunenet_logs.analysis.drop.bounce_model import LENS, TOUCH, BounceSamples
 from tunenet_logs.analysis.drop.bounce_posterior import fitted_rebounds, flight_ratio
 from tunenet_logs.analysis.drop.checks import (
     film_checks,
@@ -231,6 +231,18 @@ def test_how_long_a_contact_lasts_is_seen_from_120_pictures_a_second_on():
     assert np.count_nonzero(found_s) >= 4
     off_s = np.abs(np.array(found_s) - true_s)[np.array(found_s) > 0]
     assert np.all(off_s < 0.001 + 0.25 * np.array(true_s)[np.array(found_s) > 0])
+
+
+@pytest.mark.parametrize("distortion", [-0.04, 0.02, 0.04])
+@pytest.mark.parametrize("restitution", [0.5, 0.85])
+def test_a_lens_that_bends_is_told_from_a_ball(restitution: float, distortion: float):
+    """Its share of half a picture at the edge to .01; without it the ball is up to .013 off."""
+    heights = bounce_heights(restitution, 1.0, np.arange(150) / 60 - 0.3, GRAVITY)
+    off = (pixels(heights, 190.0, 0.2) + 20 - 119.5) / 160  # half pictures off the centre
+    fit = find_filmed_drop(track_of(119.5 + 160 * (off + distortion * off**3), 60.0), 0).posterior
+    assert fit.values[0] == pytest.approx(restitution, abs=0.002)
+    assert fit.interval95[0, 0] <= restitution <= fit.interval95[0, 1]
+    assert fit.fit.unknowns[LENS] == pytest.approx(distortion, abs=0.01)
 
 
 # ---- What is seen before and between, and what is not
