@@ -180,6 +180,7 @@ NOT_RUN: Mapping[str, str] = {
     r"tunenet-eval .*": "takes minutes to hours; its own tests run its parts",
     r"tunenet-train .*": "takes minutes to hours; its own tests train small networks",
     r"tunenet-tune s3://.*": "needs a store on a network",
+    r"tunenet-tune a\.mcap b\.mcap --model robot\.xml .*": "needs logs of a robot",
     r"tunenet-tune .*--ray HEAD:\d+.*": "needs a cluster",
     r"make (demo|test|test-all|smoke|bench)( .*)?": "takes minutes; its target is there",
     r"\.venv/bin/pytest .*": "a part of this suite",
@@ -221,6 +222,7 @@ OTHER_OPTIONS: Mapping[str, str] = {
     ),
     **dict.fromkeys(("--address", "--head"), "Ray"),
     "--python": "uv",
+    "--screenshot-to": "Rerun",
     "-k": "pytest",
 }  # fmt: skip
 
