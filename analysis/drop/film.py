@@ -1177,24 +1177,26 @@ def _through_lens(fit: BounceFit) -> BounceFit:
     """Refit with the lens's distortion as an unknown: what is left is the track's own noise.
 
     That is of the pictures in which the ball moves, and of as many as its unknowns leave free. A
-    contact that lasts is known too roughly for it.
+    contact that lasts is known too roughly for it, and more noise than a lens distorts hides it.
     """
     samples = fit.samples
-    noise_px = samples.noise * float(np.sqrt(1 - samples.distortion_variance_fraction))
+    allowed = samples.distortion_variance_fraction * samples.noise**2
+    noise_px = float(np.sqrt(samples.noise**2 - allowed))
     speeds = np.gradient(samples.positions + fit.residuals, samples.times(fit.unknowns))
     moves = np.abs(speeds) > _MOVES * float(fit.unknowns[SPAN])
     count = int(np.count_nonzero(moves))
-    if count < MIN_SAMPLES or samples.is_soft:
+    if count < MIN_SAMPLES or samples.is_soft or not allowed:
         return fit
     for _ in range(2):
         left = max(count - len(fit.free), 0.25 * count)
         # What hangs together is no noise: a contact, light, or a way that no unknown is of.
         together = correlation_time(fit.residuals, len(fit.free))
         own_px = scale_of(fit.residuals[moves], noise_px) * float(np.sqrt(together * count / left))
+        shaded = min((_SHADED**2 - 1) * own_px**2, allowed)
         sharp = replace(
             samples,
-            noise=min(_SHADED * own_px, samples.noise),
-            distortion_variance_fraction=1 - _SHADED**-2,
+            noise=min(float(np.sqrt(own_px**2 + shaded)), samples.noise),
+            distortion_variance_fraction=shaded / (own_px**2 + shaded),
             through_lens=True,
         )
         fit = fit_bounce(sharp, fit.unknowns, sharp.unknowns, most=60, gain=1e-8)
