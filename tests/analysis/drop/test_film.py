@@ -12,7 +12,11 @@ from tests.analysis.drop.made import GRAVITY, filmed, pixels, track_of, with_a_l
 from tests.remedies import has_remedy
 from tests.strangers import bounce_heights
 from tunenet_logs.analysis.drop.bounce_model import LENS, TOUCH, BounceSamples
-from tunenet_logs.analysis.drop.bounce_posterior import fitted_rebounds, flight_ratio
+from tunenet_logs.analysis.drop.bounce_posterior import (
+    ball_posterior,
+    fitted_rebounds,
+    flight_ratio,
+)
 from tunenet_logs.analysis.drop.checks import (
     film_checks,
     recording_checks,
@@ -243,6 +247,14 @@ def test_a_lens_that_bends_is_told_from_a_ball(restitution: float, distortion: f
     assert fit.values[0] == pytest.approx(restitution, abs=0.002)
     assert fit.interval95[0, 0] <= restitution <= fit.interval95[0, 1]
     assert fit.fit.unknowns[LENS] == pytest.approx(distortion, abs=0.01)
+
+
+def test_noise_that_hides_a_lens_makes_no_film_less_sure():
+    """A track of 1 px of noise gets the interval that it has without a lens's unknown."""
+    heights = bounce_heights(0.7, 1.0, np.arange(150) / 60 - 0.3, GRAVITY)
+    film = find_filmed_drop(track_of(pixels(heights, 120.0, 0.2), 60.0, noise_px=1.0), 0)
+    plain = ball_posterior(film.searched)
+    assert np.ptp(film.posterior.interval95[0]) < 1.2 * np.ptp(plain.interval95[0])
 
 
 # ---- What is seen before and between, and what is not
