@@ -225,12 +225,10 @@ class TunedModel:
     Attributes:
         path: As it was named.
         sha256: Of what moves it, in that file and those that it names; comments aside.
-        parameters: What was tuned, as `--tune` names it.
     """
 
     path: str
     sha256: str
-    parameters: tuple[str, ...]
 
 
 @dataclass(frozen=True)

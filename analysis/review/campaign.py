@@ -173,6 +173,24 @@ def log_begun(
             stream.send_columns(entity, indexes=[index], columns=columns)
 
 
+def log_gone(
+    stream: rr.RecordingStream,
+    slots: Sequence[Slot],
+    entity: str,
+    style: Any,
+    timelines: Sequence[str],
+) -> None:
+    """Log the style of points that move, and that they are gone at each row of some timelines."""
+    empty = rr.Points2D.columns(positions=np.zeros((0, 2)))
+    log_begun(
+        stream,
+        slots,
+        entity,
+        style,
+        lambda name, begun: empty.partition([0] * len(begun)) if name in timelines else None,
+    )
+
+
 def moments(slot: Slot, shown: Shown, seconds: Sequence[float]) -> list[rr.TimeColumn]:
     """Return indexes at times of a drop's own clock, on each timeline that plays it."""
     film_s = [shown.start_s + second - shown.zero_s for second in seconds]
@@ -352,14 +370,7 @@ def _log_now(stream: rr.RecordingStream, slots: Sequence[Slot], axes: _CurveAxes
     style = rr.Points2D.from_fields(
         colors=[draw.OBSERVED], radii=draw.screen_radius(5.0), draw_order=30.0
     )
-    empty = rr.Points2D.columns(positions=np.zeros((0, 2)))
-    log_begun(
-        stream,
-        slots,
-        entity,
-        style,
-        lambda name, begun: None if name == ATTEMPT else empty.partition([0] * len(begun)),
-    )
+    log_gone(stream, slots, entity, style, (FILM, WALL))
     for slot in slots:
         for shown in slot.drops:
             overlay = shown.drop.overlay
@@ -552,14 +563,7 @@ def _log_flights(
     """Log the ball of radius `m` as it flies along the expected path, on `FILM` alone."""
     entity = "sheets/shot/ball"
     style = rr.Points2D.from_fields(colors=[_TUNED], radii=[m], draw_order=25.0)
-    empty = rr.Points2D.columns(positions=np.zeros((0, 2)))
-    log_begun(
-        stream,
-        slots,
-        entity,
-        style,
-        lambda name, begun: empty.partition([0] * len(begun)) if name == FILM else None,
-    )
+    log_gone(stream, slots, entity, style, (FILM,))
     for slot in slots:
         shot = shots.get(slot.attempt.number)
         if shot is None:

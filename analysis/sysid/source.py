@@ -229,7 +229,7 @@ class ModelSource:
     @property
     def origin(self) -> TunedModel:
         """What a result says of its file."""
-        return TunedModel(str(self.path), self.files.sha256, self.wanted)
+        return TunedModel(str(self.path), self.files.sha256)
 
     def told_as(self) -> Mapping[str, Any]:
         """Return its description in a result, as JSON values."""
