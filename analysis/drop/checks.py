@@ -41,7 +41,7 @@ from tunenet_logs.analysis.drop.times.model import HeardBall, Whitening
 from tunenet_logs.analysis.drop.times.search import BallAmong
 from tunenet_logs.analysis.estimators.base import FitResult, Observation, Step
 from tunenet_logs.analysis.record import SimulationFit, Units
-from tunenet_logs.analysis.statistics import noise_of, robust_regression
+from tunenet_logs.analysis.statistics import correlation_time, noise_of, robust_regression
 from tunenet_logs.episode import Array, median_step
 from tunenet_logs.recorders.simulators.base import CALIBRATED
 
@@ -508,7 +508,7 @@ FILM = table(
         seen="grows by {value} %",
         measures="growth of the ball's size at one height",
         passes="at most {limit} % + 4 standard errors either way; of a ball that goes sideways, "
-        "off what its way makes of its size, 10 % + 2.5 standard errors, and 35 %",
+        "off what its way makes of its size, 10 % + 2.5 standard errors; at most 35 %",
         advice="let go without pushing or spinning the ball",
     ),
     CheckSpec(
@@ -541,9 +541,9 @@ FILM = table(
 )
 
 _SDS = 4.0  # standard errors that are allowed on top of a threshold
-# The same for a ball that goes sideways by the fit, and what is allowed at most: else its size
+# The same for a ball that goes sideways by the fit; and what is allowed at most: else its size
 # tells nothing of the way.
-_MOVED_SDS, _MOVED_PERCENT = 2.5, 35.0
+_MOVED_SDS, _MOST_GROWTH_PERCENT = 2.5, 35.0
 
 
 def film_checks(film: FilmedDrop) -> list[Check]:
@@ -643,11 +643,11 @@ def _distance_checks(film: FilmedDrop) -> list[Check]:
         return checks
     most = grows.limit.value + 100 * _SDS * trend.grows_sd
     if fit.moves:  # a way that the size has to confirm
-        most = min(grows.limit.value / 2 + 100 * _MOVED_SDS * trend.grows_sd, _MOVED_PERCENT)
+        most = grows.limit.value / 2 + 100 * _MOVED_SDS * trend.grows_sd
     apart = fits.limit.value + _SDS * trend.perspective_sd
     return [
         *checks,
-        grows.measured(100 * trend.grows, most),
+        grows.measured(100 * trend.grows, min(most, _MOST_GROWTH_PERCENT)),
         fits.measured(trend.perspective, apart),
     ]
 
@@ -729,8 +729,10 @@ def size_trend(
     length = float(np.ptp(times[good]))
     columns = np.column_stack([np.ones(len(times)), depth, times / length, speed])[good]
     sizes = np.log(radius_px[good]) - nearer[good]
-    found, _, spread, _ = robust_regression(columns, sizes)
+    found, off, spread, _ = robust_regression(columns, sizes)
+    # Light and background change a size for many pictures in turn.
     sds = spread * np.sqrt(np.diag(np.linalg.pinv(columns.T @ columns)))
+    sds *= np.sqrt(correlation_time(off, columns.shape[1]))
     return SizeTrend(
         grows=float(found[2]),
         grows_sd=float(sds[2]),

@@ -408,8 +408,7 @@ def _of_first_flights(whole: BounceSamples, impacts: Sequence[int], fit: BounceF
     return FilmFit(fit)
 
 
-# Log likelihoods gained: any noise bends a way a little, and of 100 straight ways 1 gains 8.
-_MOVES_GAIN, _CONTACT_GAIN = 8.0, 5.0
+_CLEARLY = 5.0  # log likelihood gained by unknowns that are there: any noise bends a way a little
 
 
 def with_moves(fit: BounceFit) -> BounceFit:
@@ -524,7 +523,7 @@ def with_contact(whole: BounceSamples, fit: BounceFit) -> BounceFit:
     new = column - known @ (known.T @ column)
     slope = float(new @ fit.residuals)
     gain = slope**2 / max(float(new @ new), 1e-9) / fit.scale**2 / fit.samples_as_one / 2
-    if slope > 0 or gain < _CONTACT_GAIN / 2:
+    if slope > 0 or gain < _CLEARLY / 2:
         return fit
     seconds = whole.seconds
     inside = (seconds >= samples.seconds[0]) & (seconds <= samples.seconds[-1])
@@ -539,7 +538,7 @@ def with_contact(whole: BounceSamples, fit: BounceFit) -> BounceFit:
         )
         soft = fit_bounce(outside, soft.unknowns, outside.unknowns, most=60)
     hard = fit_bounce(replace(outside, is_soft=False), fit.unknowns, fit.free, most=60)
-    return likelier(hard, soft, _CONTACT_GAIN) if is_good(soft) else fit
+    return likelier(hard, soft) if is_good(soft) else fit
 
 
 # ---- Hand that still moves the ball when it falls
@@ -615,7 +614,7 @@ def _likeliest_beside(fit: BounceFit) -> BounceFit:
     return best_of(fits)
 
 
-def likelier(fit: BounceFit, other: BounceFit, by: float = _MOVES_GAIN) -> BounceFit:
+def likelier(fit: BounceFit, other: BounceFit, by: float = _CLEARLY) -> BounceFit:
     """Return the other fit to the same samples if it explains clearly more."""
     scale = min(fit.scale, other.scale)
     gained = (fit.misfit_cost(scale) - other.misfit_cost(scale)) / other.samples_as_one
@@ -991,6 +990,8 @@ def _find_drop(
             usual_focal=USUAL_FOCAL * max(track.size_px),
         )
     )
+    # What is judged is all that is seen; what is fitted is without the ball's shadow.
+    seen, whole = whole, whole.only(~_merged(track, known, along))
     try:
         first = _find_fit(whole)
         if converted is None:
@@ -1002,7 +1003,8 @@ def _find_drop(
         if found.fit.samples.moves_s and free_flight(track).is_carried:
             raise _NoDropError(impacts, fitted=True)
     except _NoDropError as error:
-        reason = why_not(track, whole, error.impacts, fitted=error.fitted)
+        impacts = np.searchsorted(seconds, whole.seconds[error.impacts]).tolist()
+        reason = why_not(track, seen, impacts, fitted=error.fitted)
         raise NotFoundError(reason) from error
     # In little light a shutter is open for most of a picture.
     step_s = median_step(seconds)
@@ -1016,10 +1018,11 @@ def _find_drop(
     fit = posterior.fit
     projection = fit.projection()
     free_s = flies_from_s(whole, found.fit)
+    impacts = np.searchsorted(seconds, whole.seconds[impacts]).tolist()
     end_s = float(seconds[bounces_end(seconds, along, impacts) - 1])
     before_s = projection.impact_s - projection.fall_time_s / 4
-    before = whole.part(0, int(np.searchsorted(seconds, before_s)))
-    later = whole.part(int(np.searchsorted(seconds, fit.samples.seconds[-1])), len(seconds))
+    before = seen.part(0, int(np.searchsorted(seconds, before_s)))
+    later = seen.part(int(np.searchsorted(seconds, fit.samples.seconds[-1])), len(seconds))
     # Half a second more is seen in a review.
     begin = int(np.searchsorted(seconds, fit.samples.seconds[0] - 0.5))
     last = int(np.searchsorted(seconds, fit.samples.seconds[-1], side="right"))
@@ -1042,6 +1045,26 @@ def _find_drop(
         uneven_s=uneven_s,
         converted=converted,
     )
+
+
+# A ball that is seen in one with its shadow: by how much larger it looks than in flight, how many
+# times worse its picture fits, and how near the table that is [radii].
+_LARGER, _WORSE, _NEAR = 1.02, 4.0, 1.5
+
+
+def _merged(track: Track, known: NDArray[np.intp], along: Array) -> NDArray[np.bool_]:
+    """Return in which of the `known` pictures the ball is seen in one with its shadow, (N,).
+
+    Near the table it touches what it casts: the outline around both is larger than the ball's in
+    flight, fits worse, and its centre is up to half a radius off.
+    """
+    radii, cost = track.radius_px[known], -np.log(np.maximum(track.confidence[known], 1e-9))
+    above = (along - np.quantile(along, 0.02)) / np.nanmedian(radii)
+    flies = above > 2 * _NEAR
+    if np.count_nonzero(flies) < MIN_SAMPLES:
+        return np.zeros(len(known), dtype=bool)
+    worse = cost > _WORSE * np.median(cost[flies])
+    return (above < _NEAR) & worse & (radii > _LARGER * np.median(radii[flies]))
 
 
 def canonical_film(film: FilmedDrop) -> Observation:

@@ -144,6 +144,28 @@ def longest_flight(
     return None if arc is None else (best, arc)
 
 
+# Way of a candidate over which it moved, and its least area: noise makes smaller ones.
+_MOVED_PX, _LEAST_PX2 = 0.5, 20.0
+_REPEATED = 0.2  # fraction of a film's pictures from which on it doubles them
+
+
+def fresh_pictures(table: Candidates) -> Index | None:
+    """Return the numbers of a film's pictures but those that come twice; None where few do.
+
+    Nothing is elsewhere in them than in the one before; of a still scene all pictures are kept.
+    """
+    apart = np.linalg.norm(table.places_px[1:, :, None] - table.places_px[:-1, None], axis=3)
+    stays = np.any(apart < _MOVED_PX, axis=2)  # NaN is not
+    moved = np.any((table.areas_px[1:] > _LEAST_PX2) & ~stays, axis=1)
+    edges = np.diff(np.concatenate([[0], ~moved, [0]]).astype(int))
+    firsts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    short = ends - firsts <= 2 * np.median(ends - firsts) + 1 if len(firsts) else firsts > 0
+    kept = np.ones(len(table.seconds), dtype=bool)
+    for first, end in zip(firsts[short], ends[short], strict=True):
+        kept[first + 1 : end + 1] = False
+    return None if kept.mean() > 1 - _REPEATED else np.flatnonzero(kept)
+
+
 def _longest_arc(table: Candidates, least_frames: int) -> tuple[Arc | None, float]:
     """Find the best free flight by one clock, and its score; down the picture unless another is.
 
@@ -166,12 +188,12 @@ def _longest_arc(table: Candidates, least_frames: int) -> tuple[Arc | None, floa
             arc = _grow(table, seed, 1)
             if arc is not None and len(arc.frames) >= 5:
                 same = arc.frames.tobytes() + arc.chosen.tobytes()
-                score = tried[same][0] if same in tried else _score(table, arc)
+                score = tried[same][0] if same in tried else flight_score(table, arc)
                 tried[same] = (score, index)
         for _, index in sorted(tried.values(), reverse=True)[:60]:
             arc = _grow(table, falling[index], 4)
             if arc is not None and _is_flight(table, arc, down_px, least_frames):
-                score = factor * _score(table, arc)
+                score = factor * flight_score(table, arc)
                 if score > best_score:
                     best, best_score = arc, score
     return best, best_score
@@ -230,8 +252,8 @@ def _parabola(clock: Array, positions: Array) -> Array:
     return curve / np.array([[span**2], [span], [1.0]])
 
 
-def _score(table: Candidates, arc: Arc) -> float:
-    """Return how far it flies in its own sizes, by how many pictures say so.
+def flight_score(table: Candidates, arc: Arc) -> float:
+    """Return how far a flight goes in its own sizes, by how many pictures say so.
 
     What is carried goes far without falling. A fall from rest goes four times as far as it sags
     below the straight line between its ends. Loose ends of a hand lie about a parabola, not on it.

@@ -11,6 +11,7 @@ from functools import partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tunenet_logs.episode import Episode, Frame, Picture
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
@@ -169,6 +170,14 @@ class Pictures:
         self.sampled = every * np.arange(len(self.samples))
         self.stamps_ns = np.array(stamps, np.int64)  # shape (T,), strictly increasing
         return sizes
+
+    def leave(self, numbers: NDArray[np.intp]) -> None:
+        """Leave only the pictures of these numbers, increasing: the others come twice."""
+        at = np.minimum(np.searchsorted(numbers, self.sampled), len(numbers) - 1)
+        # A sample shows the last picture that is left, where it is left out itself.
+        self.sampled = at - (numbers[at] > self.sampled)
+        self._kept = [self._kept[number] for number in numbers]
+        self.stamps_ns = self.stamps_ns[numbers]
 
     def __iter__(self) -> Iterator[Picture]:
         return self.some(range(len(self._kept)))

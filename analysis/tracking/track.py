@@ -33,7 +33,9 @@ from tunenet_logs.analysis.tracking.flights import (
     Arc,
     color_and_size,
     flight_and_rest,
+    flight_score,
     follow,
+    fresh_pictures,
     longest_flight,
     same_arc,
 )
@@ -308,8 +310,16 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
             "at the next drop: fix the camera, or tune the part in which it stands still "
             "(--start, --end)"
         )
-    first = look = moving(still_background(pictures.samples))
+    first = moving(still_background(pictures.samples))
     flown = longest_flight(first, stamps_ns)
+    fresh = fresh_pictures(first)
+    if fresh is not None:
+        once = longest_flight(first.some(fresh), stamps_ns[fresh])
+        if once is not None and (flown is None or flight_score(*once) > flight_score(*flown)):
+            pictures.leave(fresh)
+            first, flown, stamps_ns = first.some(fresh), once, stamps_ns[fresh]
+            seconds = seconds[fresh]
+    look = first
     try:
         if flown is None:  # once more, against two backgrounds: fewer pictures of a flight show it
             look = moving(halved_background(pictures.samples))

@@ -211,6 +211,25 @@ def test_a_ball_is_told_as_people_let_it_go(kind: str, count: int):
     assert trusted >= 2 / 3 * count
 
 
+@pytest.mark.parametrize("off", [0.4, 0.6])
+def test_a_ball_that_is_seen_in_one_with_its_shadow_is_not_taken_to_be_lower(off: float):
+    """By so many radii near the table, where the outline around both fits worse: it lies long."""
+    order, _ = draw_home_clip(SEED_HOME, 0)
+    track = home_track(order, 0)
+    radius_px = np.nanmedian(track.radius_px)
+    near = track.places_px[:, 1].max() - track.places_px[:, 1] < 0.8 * radius_px
+    shadowed = replace(
+        track,
+        places_px=track.places_px + np.outer(near * off * radius_px, (0.3, 1.0)),
+        radius_px=track.radius_px * np.where(near, 1 + off / 2, 1.0),
+        confidence=np.where(near, 0.85, 0.98),
+    )
+    low, high = find_filmed_drop(shadowed, 0).posterior.interval95[0]
+    assert low < order.ball.restitution < high
+    unseen = find_filmed_drop(replace(shadowed, confidence=track.confidence), 0)
+    assert unseen.posterior.interval95[0][0] > order.ball.restitution
+
+
 def test_a_ball_falls_from_where_the_hand_lets_go():
     """A hand that gives way by less than a free fall is seen, and not for longer than it holds."""
     is_seen: list[bool] = []

@@ -352,6 +352,19 @@ def test_pictures_that_come_twice_count_once(episode: Episode):
     assert np.median(np.abs(track.places_px - places[rows])[moved]) < 0.3
 
 
+def test_every_picture_twice_is_the_film_at_twice_its_rate(episode: Episode):
+    """Shown evenly, the ball stands in every second picture: none of its flights is a parabola."""
+    frames = list(episode.frames())
+    half_ns = (frames[1].stamp_ns - frames[0].stamp_ns) // 2
+    twice = [
+        replace(one, stamp_ns=one.stamp_ns + later) for one in frames for later in (0, half_ns)
+    ]
+    film = find_filmed_drop(tracked(film_of(twice)), frames[0].stamp_ns)
+    low, high = film.posterior.interval95[0]
+    assert low < ORDER.restitution < high
+    assert high - low < 0.02
+
+
 def test_a_camera_that_freezes_leaves_a_gap(episode: Episode):
     frames = list(episode.frames())
     frozen = [replace(frames[22], stamp_ns=one.stamp_ns) for one in frames[22:28]]
