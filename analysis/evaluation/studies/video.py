@@ -401,7 +401,7 @@ def clip_table(rows: Sequence[Row]) -> str:
 def home_table(rows: Sequence[Row]) -> str:
     """Tabulate clips as people film at home, by what is special of them."""
     kinds = [*dict.fromkeys(row["kind"] for row in rows), "all"]
-    lines = [["", "clips", "answered", "ok", f"ok, off by > {_LITTLE:g}", "mean", "worst", "held"]]
+    lines = [["", "clips", "answered", "ok", "wrong", "mean", "worst", "held"]]
     for kind in kinds:
         own = [row for row in rows if kind in (row["kind"], "all")]
         told = [row for row in own if row["estimate"] is not None]
@@ -419,10 +419,13 @@ def home_table(rows: Sequence[Row]) -> str:
                 f"{sum(map(_holds, shown_rows))} of {len(shown_rows)}",
             ]
         )
-    return table(lines, "Clips as people film at home: what is special of them")
+    return table(
+        lines,
+        f"Clips as people film at home; wrong: ok, outside the interval, over {_LITTLE:g} off",
+    )
 
 
-_LITTLE = 0.01  # of restitution, beyond the interval: wrong, if it is ok
+_LITTLE = 0.01  # of restitution: an `ok` is wrong that is farther off, and outside its interval
 
 
 def _holds(row: Row) -> bool:
