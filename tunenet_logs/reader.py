@@ -307,6 +307,7 @@ class TopicContents:
             self.rows = MediaStamps(topic, kind.holds == "sound", kind.is_video)
         elif kind.holds == "positions":
             self.rows = PositionRows(topic, *plan.length("m"), names_one=kind.names_one)
+            self._stacked = decoded.stacked
         elif kind.holds == "joints":
             self.rows = JointRows(topic, plan.most_numbers)
             self._stacked = decoded.stacked
@@ -423,7 +424,7 @@ class TopicContents:
                     message, same = decode(rows)
                     parts.append((places[same], log_ns[places[same]], self._read(message)))
                     places, rows = places[~same], rows[~same]
-            assert isinstance(self.rows, JointRows)
+            assert isinstance(self.rows, JointRows | PositionRows)
             self.rows.add_all(sorted(parts, key=lambda part: part[0][0]))
         except DAMAGED:
             return False

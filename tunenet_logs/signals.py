@@ -793,6 +793,28 @@ class PositionRows:
             rows.quantities[0].extend((x, y, z))
             rows.quantities[1].extend(turn)
 
+    def add_all(self, parts: Sequence[tuple[NDArray[np.intp], NDArray[np.int64], Any]]) -> None:
+        """Append messages of one layout or several, all or none (ValueError).
+
+        Each part: places among all, log stamps [ns], (N,), and samples of arrays, (N,).
+        """
+        found: dict[tuple[str, str], list[list[NDArray[Any]]]] = {}
+        for places, log_ns, samples in parts:
+            for stamp_ns, name, where, x, y, z, *turn in samples:
+                three = np.column_stack([x, y, z]).astype(np.float64, copy=False)
+                # of a point without orientation: none
+                four = np.column_stack(turn) if turn else np.empty((len(places), 0))
+                columns = [places, stamp_ns, log_ns, three, four]
+                found.setdefault((name, where), []).append(columns)
+        if len(self._rows.keys() | found.keys()) >= 100:  # counters may be among them
+            raise ValueError("too many names or frames")
+        for key, samples in found.items():
+            places, *columns = (np.concatenate(column) for column in zip(*samples, strict=True))
+            if len(samples) > 1:
+                order = np.argsort(places, kind="stable")
+                columns = [column[order] for column in columns]
+            self._rows.setdefault(key, _Samples((3, 4))).add_all(columns)
+
     def signals(self) -> tuple[list[Signal], list[str]]:
         """Return positions and, where it ever turns, `.orientation` of each body; and repairs."""
         found: list[Signal] = []

@@ -6,8 +6,10 @@ fitted flight by flight.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +26,8 @@ from tunenet_logs.analysis.drop.bounce_model import (
     SLOPE,
     SPAN,
     BounceSamples,
+    Flown,
+    Prior,
     Projection,
 )
 from tunenet_logs.analysis.drop.free_flight import Drop
@@ -44,9 +48,14 @@ class BounceFit:
     residuals: Array  # in the positions' unit, shape (T,)
     scale: float  # robust standard deviation of them, not below the samples' noise
 
+    # the ball at these unknowns, where it was flown for the fit
+    _flown: Flown | None = field(default=None, init=False, repr=False)
+
     @cached_property
     def jacobian(self) -> Array:
         """The residuals' Jacobian over the free unknowns, shape (T, U)."""
+        if self._flown is not None and self._flown.free == self.free:
+            return self.samples.jacobian_of(self._flown)
         return self.samples.jacobian(self.unknowns, self.free)
 
     @property
@@ -68,14 +77,11 @@ class BounceFit:
 
     def misfit_cost(self, scale: float) -> float:
         """Return the negative Student's t log likelihood for a position sd, without constants."""
-        squares = (self.residuals / scale) ** 2
-        robust = 0.5 * (FREEDOM + 1) * np.log1p(squares / FREEDOM).sum()
-        return float(robust + len(self.residuals) * np.log(scale))
+        return _misfit_cost(self.residuals, scale)
 
     def prior_cost(self) -> float:
         """Return the negative log density of the priors that involve a free unknown."""
-        priors = self.samples.priors(self.unknowns)
-        return sum(one.cost for one in priors if one.slopes.keys() & set(self.free))
+        return _prior_cost(self.samples.priors(self.unknowns), self.free)
 
     def cost(self, scale: float) -> float:
         """Return the negative log posterior density."""
@@ -83,13 +89,8 @@ class BounceFit:
 
     def normal_equations(self) -> tuple[Array, Array]:
         """Return the reweighted normal matrix with the priors, and minus the cost's gradient."""
-        jacobian, priors = self.jacobian, self.samples.priors(self.unknowns)
-        weights = (FREEDOM + 1) / (FREEDOM + (self.residuals / self.scale) ** 2) / self.scale**2
-        weighted = weights[:, None] * jacobian
-        rows = np.array([[one.slopes.get(index, 0.0) for index in self.free] for one in priors])
-        sure = np.array([one.weight for one in priors])[:, None] * rows
-        normal = jacobian.T @ weighted + rows.T @ sure
-        return normal, -self.residuals @ weighted - np.array([one.off for one in priors]) @ sure
+        priors = self.samples.priors(self.unknowns)
+        return _normal_equations(self.jacobian, self.residuals, self.scale, priors, self.free)
 
     def with_others(self, held: dict[int, float]) -> Array:
         """Predict all unknowns where some free ones are held elsewhere (conditional normal)."""
@@ -119,6 +120,45 @@ class BounceFit:
         )
 
 
+def _misfit_cost(residuals: Array, scale: float) -> float:
+    squares = (residuals / scale) ** 2
+    squares /= FREEDOM
+    robust = 0.5 * (FREEDOM + 1) * np.log1p(squares, out=squares).sum()
+    return float(robust) + len(residuals) * float(np.log(scale))
+
+
+def _prior_cost(priors: Sequence[Prior], free: Sequence[int]) -> float:
+    return sum(one.cost for one in priors if not one.slopes.keys().isdisjoint(free))
+
+
+def _normal_equations(
+    jacobian: Array, residuals: Array, scale: float, priors: Sequence[Prior], free: Sequence[int]
+) -> tuple[Array, Array]:
+    weights = (FREEDOM + 1) / (FREEDOM + (residuals / scale) ** 2) / scale**2
+    weighted = weights[:, None] * jacobian
+    rows = np.array([[one.slopes.get(index, 0.0) for index in free] for one in priors])
+    sure = np.array([one.weight for one in priors])[:, None] * rows
+    normal = jacobian.T @ weighted + rows.T @ sure
+    return normal, -residuals @ weighted - np.array([one.off for one in priors]) @ sure
+
+
+class _Tried(NamedTuple):
+    """Unknowns that a fit tries, with what costs to compute."""
+
+    flown: Flown
+    residuals: Array  # shape (T,)
+    priors: Sequence[Prior]
+    prior_cost: float
+
+    @classmethod
+    def of(cls, samples: BounceSamples, unknowns: Array, free: tuple[int, ...]) -> _Tried:
+        flown, priors = samples.flown(unknowns, free), samples.priors(unknowns)
+        return cls(flown, samples.residuals_of(flown), priors, _prior_cost(priors, free))
+
+    def cost(self, scale: float) -> float:
+        return _misfit_cost(self.residuals, scale) + self.prior_cost
+
+
 def fit_bounce(
     samples: BounceSamples,
     start: Array,
@@ -137,46 +177,51 @@ def fit_bounce(
     for index, reach in ((FALL, 1.5), (IMPACT, 1.5 * float(np.exp(start[FALL])))):
         low[index], high[index] = start[index] - reach, start[index] + reach
     low[SPAN] = 1e-3 * start[SPAN]
-    unknowns = np.clip(start, low, high)
-    residuals = samples.residuals(unknowns)
-    first = scale or scale_of(residuals, samples.noise)
-    fit = BounceFit(samples, unknowns, free, residuals, first)
-    chosen = list(free)
+    at = _Tried.of(samples, np.clip(start, low, high), free)
+    used = scale or scale_of(at.residuals, samples.noise)
+    chosen, count = list(free), len(samples.seconds)
 
-    def stepped(damping: float) -> tuple[BounceFit, float] | None:
+    def stepped(damping: float) -> tuple[_Tried, float] | None:
         """Step by the damped equations: what would leave its bounds ends there, the rest follows.
 
         A step that is merely cut would leave a narrow valley.
         """
-        matrix = normal + damping * np.diag(np.diag(normal) + 1e-12)  # solvable, if nothing is seen
-        begin, unknowns = fit.unknowns[chosen], fit.unknowns.copy()
+        matrix, unknowns = normal.copy(), at.flown.unknowns.copy()
+        diagonal = matrix.reshape(-1)[:: len(matrix) + 1]
+        diagonal += damping * (diagonal + 1e-12)  # solvable, if nothing is seen
+        begin = unknowns[chosen]
         lowest, highest = low[chosen] - begin, high[chosen] - begin
         step = np.linalg.solve(matrix, gradient)
         out = (step < lowest) | (step > highest)
-        if out.any() and not out.all():
-            step[out] = np.clip(step, lowest, highest)[out]
-            rest = gradient[~out] - matrix[np.ix_(~out, out)] @ step[out]
-            step[~out] = np.linalg.solve(matrix[np.ix_(~out, ~out)], rest)
-        step = np.clip(step, lowest, highest)
-        if step @ gradient < 0.01 * gain * len(samples.seconds):  # what it can gain, twice
+        if out.any():
+            cut = np.minimum(np.maximum(step, lowest), highest)
+            if not out.all():
+                step[out] = cut[out]
+                rest = gradient[~out] - matrix[np.ix_(~out, out)] @ step[out]
+                step[~out] = np.linalg.solve(matrix[np.ix_(~out, ~out)], rest)
+            step = np.minimum(np.maximum(step, lowest), highest)
+        if step @ gradient < 0.01 * gain * count:  # what it can gain, twice
             return None
         unknowns[chosen] += step
-        tried = replace(fit, unknowns=unknowns, residuals=fit.samples.residuals(unknowns))
-        return tried, tried.cost(fit.scale)
+        tried = _Tried.of(samples, unknowns, free)
+        return tried, tried.cost(used)
 
-    cost, damping = fit.cost(first), 1e-3
+    cost, damping = at.cost(used), 1e-3
     for _ in range(most):
         before = cost
-        normal, gradient = fit.normal_equations()
+        jacobian = samples.jacobian_of(at.flown)
+        normal, gradient = _normal_equations(jacobian, at.residuals, used, at.priors, free)
         better, cost, damping = damped_step(stepped, cost, damping, _DAMPING)
-        fit = better or fit
+        at = better or at
         gained = before - cost
-        new = scale or scale_of(fit.residuals, samples.noise)
-        settled = gained < gain * len(samples.seconds) and abs(new / fit.scale - 1) < 0.01
-        fit = replace(fit, scale=new)
-        cost = fit.cost(new)
+        new = scale or scale_of(at.residuals, samples.noise)
+        settled = gained < gain * count and abs(new / used - 1) < 0.01
+        if new != used:
+            used, cost = new, at.cost(new)
         if settled:
             break
+    fit = BounceFit(samples, at.flown.unknowns, free, at.residuals, used)
+    vars(fit)["_flown"] = at.flown
     return fit
 
 
@@ -188,7 +233,11 @@ def best_of(fits: list[BounceFit]) -> BounceFit:
 
 def scale_of(residuals: Array, noise: float) -> float:
     """Estimate the standard deviation by the median absolute residual, not below the noise."""
-    return max(noise, 1.4826 * float(np.median(np.abs(residuals))))  # of a normal distribution
+    if not len(residuals):
+        return noise
+    low, high = (len(residuals) - 1) // 2, len(residuals) // 2
+    ordered = np.partition(np.abs(residuals), (low, high))
+    return max(noise, 1.4826 * float(ordered[low] + ordered[high]) / 2)  # of a normal distribution
 
 
 # ---- Samples that a fitted bounce adds and leaves out: the ball in the hand, and at impacts
@@ -198,7 +247,7 @@ MAX_IMPACTS = 6
 MIN_SAMPLES = 12  # for eight unknowns, of which three have priors, and a noise
 
 
-def with_pre_release_samples(whole: BounceSamples, fit: BounceFit) -> BounceFit:
+def with_pre_release_samples(whole: BounceSamples, fit: BounceFit, gain: float = 1e-6) -> BounceFit:
     """Refit with the samples just before the fall in which the ball is held where it is let go."""
     if whole.starts_in_flight:
         return fit
@@ -220,7 +269,7 @@ def with_pre_release_samples(whole: BounceSamples, fit: BounceFit) -> BounceFit:
     if first == held or (whole.in_metres and moved and still_s < 0.35 * fall_s):
         return fit
     last = int(np.searchsorted(whole.seconds, fit.samples.seconds[-1], side="right"))
-    longer = fit_bounce(whole.part(held, last), fit.unknowns, fit.free)
+    longer = fit_bounce(whole.part(held, last), fit.unknowns, fit.free, gain=gain)
     # A hand that moves after all stands out of the noise by half.
     return longer if longer.tail_sd < 1.5 * max(fit.tail_sd, whole.noise) else fit
 
@@ -320,9 +369,9 @@ def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None
         parts = _parts(whole, fit.unknowns, rest_seen)
     if best is None:
         return None
-    best = with_pre_release_samples(whole, best)
+    best = with_pre_release_samples(whole, best, 1e-4)
     samples = without_impact_samples(best)
-    return fit_bounce(samples, best.unknowns, best.free, most=60, gain=1e-8)
+    return fit_bounce(samples, best.unknowns, best.free, most=60, gain=1e-7)
 
 
 def fitted_drop(drop: Drop, fit: BounceFit) -> Drop:

@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -291,6 +292,18 @@ def nudged(unknowns: Array, index: int, by: float) -> tuple[Array, float]:
     return moved, moved[index] - unknowns[index]
 
 
+class Flown(NamedTuple):
+    """Ball of some unknowns at the samples' times, and those nudged by its free unknowns."""
+
+    unknowns: Array  # shape (20,)
+    free: tuple[int, ...]
+    times: Array  # [fall times after the first impact], shape (T,)
+    heights: Array  # [drop heights], shape (T,)
+    speeds: Array  # upward [drop heights, fall times], shape (T,)
+    # by unknown: by how much it was nudged, and the heights then, shape (T,)
+    nudged: dict[int, tuple[float, Array]]
+
+
 @dataclass(frozen=True, eq=False)
 class BounceSamples:
     """Samples that a bounce is fitted to, and what is known of them."""
@@ -446,16 +459,35 @@ class BounceSamples:
     def _since_moves_s(self) -> Array:
         return since_moves(self.seconds, self.moves_s)
 
-    def jacobian(self, unknowns: Array, free: tuple[int, ...]) -> Array:
-        """Return the residuals' Jacobian over the free unknowns, shape (T, len(free))."""
-        times = self.times(unknowns)
+    def flown(self, unknowns: Array, free: tuple[int, ...]) -> Flown:
+        """Fly the ball of some unknowns, (20,), and those that its free unknowns are nudged to."""
         nudges = {
             index: nudged(unknowns, index, _SHORT)
             for index in (RESTITUTION, SLOPE, DRAG, TOUCH)
             if index in free
         }
+        times = self.times(unknowns)
         balls = [self.bounce(one) for one in (unknowns, *(moved for moved, _ in nudges.values()))]
-        (heights, *others), (speeds, *_) = flown_by(balls, np.tile(times, (len(balls), 1)))
+        places = np.empty((len(balls), len(times)))
+        places[:] = times
+        (heights, *others), (speeds, *_) = flown_by(balls, places)
+        moved = {
+            index: (by, one) for (index, (_, by)), one in zip(nudges.items(), others, strict=True)
+        }
+        return Flown(unknowns, free, times, heights, speeds, moved)
+
+    def residuals_of(self, flown: Flown) -> Array:
+        """Return predicted less seen positions, shape (T,)."""
+        predicted = self._predicted(flown.unknowns, flown.heights)
+        return self.lens(flown.unknowns).seen(predicted) - self.positions
+
+    def jacobian(self, unknowns: Array, free: tuple[int, ...]) -> Array:
+        """Return the residuals' Jacobian over the free unknowns, shape (T, len(free))."""
+        return self.jacobian_of(self.flown(unknowns, free))
+
+    def jacobian_of(self, flown: Flown) -> Array:
+        """Return the residuals' Jacobian over the free unknowns, shape (T, len(free))."""
+        unknowns, free, times, heights, speeds, nudges = flown
         grow = float(np.exp(unknowns[PERSPECTIVE]))
         farther = self.farther(unknowns) if self.moves_s else np.zeros(len(times))
         depth = np.maximum(1 + (grow - 1) * heights + farther, _NEAREST)
@@ -473,7 +505,7 @@ class BounceSamples:
                 moved = unknowns.copy()
                 moved[index] += by
                 columns[index] = (self._predicted(moved, heights) - usual) / by
-        for (index, (_, by)), moved in zip(nudges.items(), others, strict=True):
+        for index, (by, moved) in nudges.items():
             columns[index] = per_height * (moved - heights) / by
         columns[IMPACT] = -per_height * speeds / np.exp(unknowns[FALL])
         columns[FALL] = -per_height * speeds * times

@@ -491,7 +491,7 @@ def _profiled(fit: BounceFit, side: int, sd: float) -> float:
     start = fit.with_others({RESTITUTION: at})
     others = tuple(index for index in fit.free if index != RESTITUTION)
     most = 30 if fit.samples.moves_s else 10
-    held = fit_bounce(fit.samples, start, others, most=most, gain=1e-5, scale=fit.scale)
+    held = fit_bounce(fit.samples, start, others, most=most, gain=1e-4, scale=fit.scale)
     held, factor = replace(held, free=fit.free), fit.samples_as_one
     best = fit.misfit_cost(fit.scale) / factor + fit.prior_cost()
     rise = held.misfit_cost(fit.scale) / factor + held.prior_cost() - best

@@ -182,19 +182,24 @@ class FlownHeights:
 
     def _line(self, rows: Indices, gravity: float) -> Array:
         """Fit a parabola of this gravity: half its curvature, slope, height, time at the middle."""
-        middle = float(self.seconds[rows].mean())
-        since = self.seconds[rows] - middle
+        seconds = self.seconds[rows]
+        middle = float(seconds.sum()) / len(rows)
+        since = seconds - middle
         straight = self.heights[rows] + gravity / 2 * since**2
-        slope, height = np.polyfit(since, straight, 1) if len(rows) > 1 else (0.0, straight[0])
-        return np.array([-gravity / 2, slope, height, middle])
+        slope = float(since @ straight) / float(since @ since) if len(rows) > 1 else 0.0
+        return np.array([-gravity / 2, slope, float(straight.sum()) / len(rows), middle])
 
     def _parabola(self, rows: Indices, bent: tuple[float, float] = _BENT) -> Array:
         """Fit the same with its own curvature near gravity's, where the samples are many."""
         gravity = self.gravity
         if len(rows) < 8:
             return self._line(rows, gravity)
-        since = self.seconds[rows] - float(self.seconds[rows].mean())
-        curve = float(np.polyfit(since, self.heights[rows], 2)[0])
+        seconds = self.seconds[rows]
+        since = seconds - float(seconds.sum()) / len(rows)
+        square = since * since
+        bend = square - float(square.sum()) / len(rows)  # beside a constant and a slope
+        bend -= float(square @ since) / float(square.sum()) * since
+        curve = float(bend @ self.heights[rows]) / float(bend @ bend)
         low, high = bent
         return self._line(rows, float(np.clip(-2 * curve, low * gravity, high * gravity)))
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -65,10 +65,13 @@ PAPER_SAMPLES = 400
 PAPER_RADIUS_M = 0.5
 
 
+@cache
 def canonical_axis() -> Array:
-    """Return the canonical grid [fall times after the first impact], shape (156,)."""
+    """Return the canonical grid [fall times after the first impact], shape (156,), read-only."""
     last = CANONICAL_SPAN * CANONICAL_PER_FALL
-    return np.setdiff1d(np.arange(-CANONICAL_BEFORE, last + 1), [0]) / CANONICAL_PER_FALL
+    axis = np.setdiff1d(np.arange(-CANONICAL_BEFORE, last + 1), [0]) / CANONICAL_PER_FALL
+    axis.flags.writeable = False
+    return axis
 
 
 def canonical_observation(values: Array) -> Observation:

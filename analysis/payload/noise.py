@@ -228,29 +228,60 @@ def likeliest_scales(
     start: Mapping[str, float],
     steps: int,
 ) -> dict[str, float]:
-    """Find the logarithm of each group's prior scale by evidence maximisation: `sds` (N,)."""
-    from scipy.optimize import minimize
+    """Find the logarithm of each group's prior scale by evidence maximisation: `sds` (N,).
 
+    By Newton's method within bounds, for so many steps at most, from `start`.
+    """
     names = tuple(groups)
+    members = np.zeros((len(sds), len(names)))  # which terms are whose
+    for column, indices in enumerate(groups.values()):
+        members[indices, column] = 1.0
+    low, high = _MIN, np.array([_MAX_KNOWN if name in KNOWN else _MAX for name in names])
+    logs = np.clip(np.array([start.get(name, 0.0) for name in names]), low, high)
 
-    def cost(logs: Array) -> tuple[float, Array]:
+    def at(logs: Array) -> tuple[float, Array, Array]:
+        """Return the log evidence with the priors of the scales, its slopes and curvature."""
         own = scaled(sds, groups, dict(zip(names, logs.tolist(), strict=True)))
-        found = posterior(normal, own)
-        squares = (found.means**2 + found.variances) / np.maximum(own, 1e-150) ** 2 - 1
-        slopes = np.array([float(squares[groups[name]].sum()) for name in names])
-        priors = [_log_prior(log) for log in logs.tolist()]
-        value = found.log_evidence + sum(prior for prior, _ in priors)
-        return -value, -(slopes + np.array([slope for _, slope in priors]))
+        # In units of the priors: the precision, its inverse, and the means.
+        inner = own[:, None] * normal.precision * own
+        inner[np.diag_indices_from(inner)] += 1.0
+        factor = cholesky(inner, lower=True, check_finite=False)
+        (inverse,) = get_lapack_funcs(("potri",), (factor,))
+        spread = np.tril(inverse(factor, lower=1)[0])
+        spread += np.tril(spread, -1).T
+        pull = own * normal.gradient
+        means = spread @ pull
+        value = 0.5 * float(means @ pull) - float(np.sum(np.log(np.diag(factor))))
+        squares = members.T @ (means**2 + np.diag(spread))
+        told = 4.0 * np.outer(means, means) * spread + 2.0 * spread**2
+        curvature = members.T @ told @ members - 2.0 * np.diag(squares)
+        up, down = np.exp(logs / _UP), np.exp(-logs / _DOWN)  # as in `_log_prior`
+        value -= float(np.log(up + down).sum())
+        slopes = squares - members.sum(axis=0) - (up / _UP - down / _DOWN) / (up + down)
+        bent = up * down * (1 / _UP + 1 / _DOWN) ** 2 / (up + down) ** 2
+        return value, slopes, curvature - np.diag(bent)
 
-    best: NDArray = minimize(
-        cost,
-        np.array([start.get(name, 0.0) for name in names]),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[(_MIN, _MAX_KNOWN if name in KNOWN else _MAX) for name in names],
-        options={"maxiter": steps, "maxfun": 2 * steps},
-    ).x
-    return dict(zip(names, best.tolist(), strict=True))
+    here = at(logs)
+    for _ in range(steps):
+        value, slopes, curvature = here
+        free = ~(((logs <= low) & (slopes < 0)) | ((logs >= high) & (slopes > 0)))
+        bends, axes = np.linalg.eigh(curvature[np.ix_(free, free)])
+        step = np.zeros(len(logs))
+        # Uphill also where the evidence is not concave.
+        step[free] = axes @ (axes.T @ slopes[free] / np.maximum(np.abs(bends), 0.1))
+        step /= max(1.0, float(np.abs(step).max(initial=0.0)) / 2.0)  # two logarithms at most
+        for _ in range(6):
+            tried = np.clip(logs + step, low, high)
+            there = at(tried)
+            if there[0] > value:
+                break
+            step /= 4.0
+        else:
+            break
+        logs, here = tried, there
+        if there[0] - value < 1e-3:
+            break
+    return dict(zip(names, logs.tolist(), strict=True))
 
 
 def scaled(sds: Array, groups: Mapping[str, NDArray[np.int64]], logs: Mapping[str, float]) -> Array:

@@ -510,14 +510,14 @@ def _likeliest(
     }
     rows = {convention: rows_of(runs, lines[convention], convention) for convention in CONVENTIONS}
     fits = {
-        convention: _compared(GaussNewton.start(runs, convention, known), rows[convention], 3)
+        convention: _compared(GaussNewton.start(runs, convention, known), rows[convention], 2)
         for convention in CONVENTIONS
     }
-    for _ in range(6):
+    # Log evidence by which a convention may be behind and still win: noise settles slowly.
+    for behind in (1000.0, *[50.0] * 6):
         leader = max(fit.log_evidence for fit in fits.values())
-        # Log evidence by which a convention may be behind and still win: noise settles slowly
-        near = [one for one, fit in fits.items() if fit.log_evidence > leader - 50.0]
-        if len(near) == 1:
+        near = [one for one, fit in fits.items() if fit.log_evidence > leader - behind]
+        if len(near) == 1 and behind < 1000.0:
             break
         fits |= {one: _compared(fits[one], rows[one], 1) for one in near}
     best = max(conventions, key=lambda convention: fits[convention].log_evidence)

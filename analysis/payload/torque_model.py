@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
+from scipy.linalg import eigh, solve_banded
 
 from tunenet_logs.analysis.payload.arm_log import MIN_KNOT_S, ArmLog, most_knots
 from tunenet_logs.episode import Array, median_step
@@ -28,16 +28,63 @@ from tunenet_logs.recorders.simulators.arm.description import (
 )
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
-if TYPE_CHECKING:
-    from scipy.interpolate import BSpline
-
-
 # ---- Motion: joint positions smoothed by P-splines (Eilers and Marx 1996), differentiated twice
 # Degree 5 on even knots, third differences as the penalty, so that accelerations are smooth too,
 # and its weight by generalised cross-validation (Craven and Wahba 1979), for each joint.
 
 _DEGREE = 5  # of the spline: its second derivative is a cubic, smooth itself
 _RIDGE = 1e-10  # fraction of the penalty that keeps knots without a sample determined
+
+
+def _pieces() -> Array:
+    """Return the B-splines on one cell of even knots by de Boor's recursion: powers of its part.
+
+    Of each in turn the coefficients, lowest power first, shape (6, 6).
+    """
+    found = np.ones((1, 1))
+    for degree in range(1, _DEGREE + 1):
+        before, found = found, np.zeros((degree + 1, degree + 1))
+        for number, one in enumerate(before):
+            # The one before it rises with the part, and it falls.
+            found[number + 1, :-1] += (degree - 1 - number) * one / degree
+            found[number + 1, 1:] += one / degree
+            found[number, :-1] += (number + 1) * one / degree
+            found[number, 1:] -= one / degree
+    return found
+
+
+_PIECES = _pieces()
+
+
+@dataclass(frozen=True, eq=False)
+class EvenSpline:
+    """Spline on even knots; beyond them its last pieces go on."""
+
+    start_s: float
+    step_s: float  # between knots
+    coefficients: Array  # shape (cells + 5, J)
+
+    def __call__(self, seconds: Array, order: int = 0) -> Array:
+        """Evaluate it, or a derivative of an order, shape (T, J)."""
+        cells = len(self.coefficients) - _DEGREE
+        cell, basis = even_basis((seconds - self.start_s) / self.step_s, cells, order)
+        found = np.zeros((len(seconds), self.coefficients.shape[1]))
+        for number, column in enumerate(basis.T):
+            found += column[:, None] * self.coefficients[cell + number]
+        return found / self.step_s**order
+
+
+def even_basis(places: Array, cells: int, order: int = 0) -> tuple[NDArray[np.intp], Array]:
+    """Return the cells of places [knots], shape (T,), and their six B-splines there, (T, 6).
+
+    Of the coefficients it is the cell's number on that count. Or the derivatives of an order.
+    """
+    cell = np.clip(np.floor(places), 0, cells - 1).astype(np.intp)
+    powers = np.vander(places - cell, _DEGREE + 1, increasing=True)
+    pieces = _PIECES
+    for _ in range(order):
+        pieces = pieces[:, 1:] * np.arange(1, pieces.shape[1])
+    return cell, powers[:, : pieces.shape[1]] @ pieces.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +94,7 @@ class ArmMotion:
     seconds: Array  # of the torques [s], shape (T,)
     effort: Array  # as reported by the driver [N·m], shape (T, J)
     used: NDArray[np.bool_]  # joints whose torque is informative, shape (J,)
-    spline: BSpline  # positions of all joints [rad] over time [s]
+    spline: EvenSpline  # positions of all joints [rad] over time [s]
 
     def at(self, seconds: Array) -> tuple[Array, Array, Array]:
         """Return positions [rad], velocities [rad/s] and accelerations [rad/s^2], each (T, J)."""
@@ -96,37 +143,37 @@ def arm_motion(log: ArmLog) -> ArmMotion:
     return ArmMotion(seconds, effort, ~log.constant, spline)
 
 
-def smoothing_spline(seconds: Array, values: Array, late_s: float = 0.0) -> BSpline:
+def smoothing_spline(seconds: Array, values: Array, late_s: float = 0.0) -> EvenSpline:
     """Fit a P-spline to each column of samples at `seconds`, shape (T,), stamped up to `late_s`.
 
     Errors of late stamps are correlated, which cross-validation takes for the curve: so residuals
     stay at least as large as they make.
     """
-    from scipy.interpolate import BSpline
-    from scipy.sparse import dia_array
-    from scipy.sparse.linalg import splu
-
     step = max(median_step(seconds), MIN_KNOT_S)
     cells = int(np.ceil((seconds[-1] - seconds[0]) / step))
     cells = min(max(cells, _DEGREE), most_knots(len(seconds)))
-    step = (seconds[-1] - seconds[0]) / cells
-    knots = seconds[0] + step * np.arange(-_DEGREE, cells + _DEGREE + 1)
-    design = BSpline.design_matrix(seconds, knots, _DEGREE, extrapolate=True).tocsc()
-    count = cells + _DEGREE
-    steps = np.tile([[-1.0], [3.0], [-3.0], [1.0]], count)
-    third = dia_array((steps, np.arange(4)), shape=(count - 3, count))
-    normal, penalty = (design.T @ design).tocsc(), (third.T @ third).tocsc()
+    step = float(seconds[-1] - seconds[0]) / cells
+    places, count = (seconds - seconds[0]) / step, cells + _DEGREE
+    cell, design = even_basis(places, cells)
+    third = np.array([-1.0, 3.0, -3.0, 1.0])
+    normal = _banded([cell + number for number in range(_DEGREE + 1)], design.T, count)
+    rows = np.arange(count - 3)
+    penalty = _banded(
+        [rows + number for number in range(4)], np.outer(third, np.ones(count - 3)), count
+    )
     speeds = np.diff(values, axis=0) / np.diff(seconds)[:, None]
     floor = late_s**2 / 12 * np.mean(speeds**2, axis=0)  # variance of a uniform delay, times speed
     # The stiffness is chosen over the first 300 knots: a long recording has the same throughout.
     window = min(cells, 300)
-    early = seconds <= knots[_DEGREE + window]
+    early = places <= window
     size = window + _DEGREE
-    inner = third.tocsr()[: size - 3, :size].toarray()  # a difference cut off would pull to 0
+    inner = np.diff(np.eye(size), 3, axis=0)  # a difference cut off would pull to 0
     # In the basis that makes both matrices diagonal (Demmler and Reinsch 1975) a stiffness only
     # shrinks each coordinate: all of them are compared at the cost of one.
     weights = np.logspace(-9, 7, 65)  # from interpolation to a parabola, four a decade
-    shown, seen = design[early][:, :size].toarray(), values[early]
+    first_cell, first_basis = even_basis(places[early], window)
+    shown, seen = np.zeros((len(first_cell), size)), values[early]
+    np.put_along_axis(shown, first_cell[:, None] + np.arange(_DEGREE + 1), first_basis, axis=1)
     first_penalty = inner.T @ inner
     powers, basis = eigh(first_penalty, shown.T @ shown + _RIDGE * first_penalty)
     powers = np.maximum(powers, 0.0)
@@ -140,11 +187,29 @@ def smoothing_spline(seconds: Array, values: Array, late_s: float = 0.0) -> BSpl
     variance = squares / np.maximum(len(seen) - shrinkage.sum(axis=1), 1.0)[:, None]
     scores[(variance < floor) & (variance < variance[-1])] = np.inf
     stiffnesses = weights[np.argmin(scores, axis=0)]
-    coefficients = [
-        splu(normal + (stiffness + _RIDGE) * penalty).solve(column)
-        for stiffness, column in zip(stiffnesses, (design.T @ values).T, strict=True)
-    ]
-    return BSpline(knots, np.column_stack(coefficients), _DEGREE, extrapolate=True)
+    coefficients = np.empty((count, values.shape[1]))
+    for column, stiffness in enumerate(stiffnesses.tolist()):
+        right = np.zeros(count)
+        for number, one in enumerate(design.T):
+            right += np.bincount(cell + number, one * values[:, column], count)
+        both = normal + (stiffness + _RIDGE) * penalty
+        coefficients[:, column] = solve_banded((_DEGREE, _DEGREE), both, right, overwrite_ab=True)
+    return EvenSpline(float(seconds[0]), step, coefficients)
+
+
+def _banded(columns: Sequence[NDArray[np.intp]], values: Array, count: int) -> Array:
+    """Return A^T A of rows with few values beside each other, as bands for LAPACK, (11, count).
+
+    Of the rows' first, second, ... the columns, and the values, shape (N, R).
+    """
+    bands = np.zeros((2 * _DEGREE + 1, count))
+    for off in range(len(values)):
+        for number in range(len(values) - off):
+            both = values[number] * values[number + off]
+            bands[_DEGREE + off] += np.bincount(columns[number], both, count)
+        if off:
+            bands[_DEGREE - off, off:] = bands[_DEGREE + off, :-off]
+    return bands
 
 
 # ---- Terms beside the model's, with priors in groups of one scale each

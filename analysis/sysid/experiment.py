@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import qmc
 
 from tunenet_logs.analysis.checks import Check, CrossCheck
 from tunenet_logs.analysis.estimators.base import (
@@ -126,6 +125,8 @@ def trained_network(
     if kept is not None and kept.is_file():
         with suppress(TuneNetError):
             return load_model(kept, purpose)
+    from scipy.stats import qmc
+
     # Roll out over the ranges from the log's initial state (Halton), and draw pairs.
     low, high = np.array([one.training_range for one in parameters[:tuned]]).T
     values = qmc.scale(qmc.Halton(tuned, rng=0).random(count), low, high)

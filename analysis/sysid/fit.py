@@ -13,7 +13,6 @@ from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc, t
 
 from tunenet_logs.analysis.estimators.base import FitResult
 from tunenet_logs.analysis.estimators.damped import Damping, damped_step
@@ -254,6 +253,8 @@ Run = Callable[[Array], Array]
 _FIRST_DAMPING = 1e-4
 _DAMPING = Damping(tries=7, raised_by=10, lowered_by=30, least=1e-7, raised_from=1e-3)
 _NO_GAIN = 0.05  # of the cost: a step that lowers it by less is the last
+_LOWER = 0.95  # of the cost of an end: one as low is the same
+_AMISS = 0.2  # of the gain that slopes promise: with more error they are differenced anew
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,6 +346,8 @@ class RolloutLeastSquares:
             normal, slope = self._equations(values, residuals, solution.slopes, solution.noise)
             step_by = np.zeros(len(values))
             step_by[others] = -np.linalg.solve(normal[np.ix_(others, others)], slope[others])
+            if -float(step_by @ slope) < 0.1 * _CONTRADICTS:  # what it can gain
+                break
             tried = np.clip(values + step_by * self._scales, *self._bounds)
             off = self.residuals(tried[None])[0]
             cost = self.cost(off, tried, solution.noise)
@@ -372,23 +375,39 @@ class RolloutLeastSquares:
         return off if jumpy.all() else np.where(jumpy, 5.0 * off, off)
 
     def solve(self, start: Array) -> Solution:
-        """Iterate from values of shape (P,) until steps are small beside the noise.
+        """Iterate from values of shape (P,) until steps are small beside the noise."""
+        path: list[Array] = []
+        values, residuals, noise = self._settled(start, path, is_central=True)
+        seen = self._differences(values, residuals, is_central=True)
+        return Solution(values, residuals, seen.slopes, noise, tuple(path), self.chosen, seen.bends)
+
+    def least_residuals(self, start: Array) -> Array:
+        """Return the residuals, (M,), where the same ends, without what says how sure it is."""
+        return self._settled(start, [], is_central=False)[1]
+
+    def coarsely(self, start: Array, residuals: Array) -> tuple[Array, Array]:
+        """Descend with all columns of equal weight: values, (P,), and residuals, (M,), there."""
+        return self._descend(start, residuals, self.coarse(), [])
+
+    def _settled(
+        self, start: Array, path: list[Array], *, is_central: bool
+    ) -> tuple[Array, Array, Array]:
+        """Return values, residuals and each column's noise at the end; add the steps to the path.
 
         All columns have equal weight at first; then each by its residual.
         """
         values = np.clip(start, *self._bounds)
-        path = [values]
+        path.append(values)
         residuals = self.residuals(values[None])[0]
         noise = self.coarse()
         if np.any(self.left(residuals) > noise):
             values, residuals = self._descend(values, residuals, noise, path)
         for _ in range(3):  # times that columns are weighed by what is left of them
             noise = self.left(residuals)
-            values, residuals = self._descend(values, residuals, noise, path, is_central=True)
+            values, residuals = self._descend(values, residuals, noise, path, is_central=is_central)
             if np.allclose(self.left(residuals), noise, rtol=0.1):
                 break
-        seen = self._differences(values, residuals, is_central=True)
-        return Solution(values, residuals, seen.slopes, noise, tuple(path), self.chosen, seen.bends)
+        return values, residuals, noise
 
     def _descend(
         self,
@@ -401,9 +420,11 @@ class RolloutLeastSquares:
     ) -> tuple[Array, Array]:
         """Descend with fixed noise of each column; append each step to the path."""
         cost, damping = self.cost(residuals, values, noise), _FIRST_DAMPING
+        differences = partial(self._differences, is_central=is_central)
+        beside = differences(values, residuals)
+        slopes = beside.slopes
         for _ in range(25):
-            beside = self._differences(values, residuals, is_central=is_central)
-            normal, slope = self._equations(values, residuals, beside.slopes, noise)
+            normal, slope = self._equations(values, residuals, slopes, noise)
             sd = np.sqrt(np.diag(np.linalg.inv(normal))) * self._scales
             still = 0.05 * sd  # a shorter step is the last
             seen = np.sqrt(np.diag(normal) / self.chosen.sum()) / self._scales
@@ -411,9 +432,15 @@ class RolloutLeastSquares:
             # friction make rollouts rough where they are looked at more closely.
             self._steps = np.clip(0.5 / seen, self._least, self._most)
             tried = partial(self._stepped, values, (normal, slope), noise, still)
-            moved, new, after = damped_step(tried, cost, damping, _DAMPING)
+            is_own = slopes is beside.slopes  # else carried: where they mislead, others are made
+            rule = _DAMPING if is_own else replace(_DAMPING, tries=1)
+            moved, new, after = damped_step(tried, cost, damping, rule)
             if moved is None and after == damping:  # even the first step is too short
                 break
+            if moved is None and not is_own:
+                beside = differences(values, residuals)
+                slopes = beside.slopes
+                continue
             if moved is None:  # slopes over a kink may point uphill
                 # It has to promise that much of the cost.
                 lowest = beside.lowest(partial(self.cost, noise=noise), 2.0)
@@ -424,11 +451,35 @@ class RolloutLeastSquares:
                     break
                 after = _DAMPING.lowered(_FIRST_DAMPING)
             gain, is_short = cost - new, np.all(np.abs(moved[0] - values) < still)
+            carried = None if is_central else self._carried(slopes, values, residuals, moved, noise)
             (values, residuals), cost, damping = moved, new, after
             path.append(values)
             if is_short or gain < _NO_GAIN:
                 break
+            if carried is None:
+                beside = differences(values, residuals)
+            slopes = beside.slopes if carried is None else carried
         return values, residuals
+
+    def _carried(
+        self,
+        slopes: Array,
+        values: Array,
+        residuals: Array,
+        moved: tuple[Array, Array],
+        noise: Array,
+    ) -> Array | None:
+        """Update slopes to where a step led by Broyden's rule (1965); None where it went amiss."""
+        by = moved[0] - values
+        expected = residuals + slopes @ by
+        before, told, found = (
+            self.cost(left, place, noise)
+            for left, place in ((residuals, values), (expected, moved[0]), (moved[1], moved[0]))
+        )
+        if not abs(found - told) <= _AMISS * (before - told):
+            return None
+        scaled = by / self._scales**2
+        return slopes + np.outer(moved[1] - expected, scaled / (scaled @ by))
 
     def _stepped(
         self,
@@ -438,9 +489,20 @@ class RolloutLeastSquares:
         still: Array,
         damping: float,
     ) -> tuple[tuple[Array, Array], float] | None:
-        """Take a damped step within the bounds; None where it is shorter than `still`, (P,)."""
+        """Take a damped step within the bounds; None where it is shorter than `still`, (P,).
+
+        Or where it promises too little.
+        """
         tried = np.clip(values + self._step(values, *equations, damping), *self._bounds)
-        return None if np.all(np.abs(tried - values) < still) else self._seen_at(tried, noise)
+        if np.all(np.abs(tried - values) < still):
+            return None
+        normal, slope = equations
+        by = (tried - values) / self._scales
+        promised = -float(by @ (2.0 * slope + normal @ by))
+        least = (
+            _NO_GAIN if damping > _FIRST_DAMPING else 0.2 * _NO_GAIN
+        )  # a step again, or the first
+        return None if 0.0 <= promised < least else self._seen_at(tried, noise)
 
     def _seen_at(self, values: Array, noise: Array) -> tuple[tuple[Array, Array], float]:
         """Roll out at values, (P,): return them with their residuals, (M,), and their cost."""
@@ -663,6 +725,8 @@ def fit_simulator(
     what is held out, `later` what of the log that is, shape (M,): the last 40 % of the time. `logs`
     are the names of several, and which each value is of, shape (M,).
     """
+    from scipy.special import stdtrit
+
     tuned = len(start)
     steps = RolloutLeastSquares(run, target, parameters)
     given = np.array([one.initial for one in parameters])
@@ -687,7 +751,7 @@ def fit_simulator(
     if unresolved is not None:  # the others follow what the step leaves unsure of one
         followed = cov * (unresolved / np.diag(cov))
         wide = np.sqrt(wide**2 + np.sum(followed**2, axis=1))
-    half95 = float(t.ppf(0.975, max(independent - len(sd), 3.0))) * wide
+    half95 = float(stdtrit(max(independent - len(sd), 3.0), 0.975)) * wide  # Student's t
     low, high = np.array([one.bounds for one in parameters]).T
     ends = np.stack([solution.values - half95, solution.values + half95])
     ends = np.clip(ends, low, high)
@@ -765,6 +829,8 @@ def _is_good(solution: Solution, target: ComparedColumns) -> bool:
 
 def _from_elsewhere(steps: RolloutLeastSquares, solution: Solution, tuned: int) -> Solution:
     """Restart from the best of many quasi-random (Halton) starts; keep the best solution."""
+    from scipy.stats import qmc
+
     low, high = np.array([one.training_range for one in steps.parameters[:tuned]]).T
     places = qmc.scale(qmc.Halton(tuned, rng=0).random(24), low, high)
     rest = np.array([one.initial for one in steps.parameters[tuned:]])
@@ -774,7 +840,10 @@ def _from_elsewhere(steps: RolloutLeastSquares, solution: Solution, tuned: int) 
     costs = [steps.cost(row, start, coarse) for row, start in zip(off, starts, strict=True)]
     least = steps.cost(solution.residuals, solution.values, coarse)
     for place in np.argsort(costs)[:2]:
-        other = steps.solve(starts[place])
+        values, residuals = steps.coarsely(starts[place], off[place])
+        if steps.cost(residuals, values, coarse) >= _LOWER * least - 2.0:  # it ends no better
+            continue
+        other = steps.solve(values)
         cost = steps.cost(other.residuals, other.values, coarse)
         if cost < least:
             least = cost

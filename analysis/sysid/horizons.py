@@ -160,7 +160,7 @@ def _followed(begun: Begun, tuned: Array) -> Array:
         spread = begun.target.per_value([3.0 * one.spread for one in begun.target.columns])
         return np.where(np.isfinite(simulated), simulated, lost + spread)
     steps = RolloutLeastSquares(run, begun.target, begun.starts)
-    return lost + steps.solve(np.array([one.initial for one in begun.starts])).residuals
+    return lost + steps.least_residuals(np.array([one.initial for one in begun.starts]))
 
 
 def _with(run: Run, tuned: Array) -> Run:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from tunenet_logs.analysis.record import TunedModel
 from tunenet_logs.analysis.sysid.fit import FITTED, ComparedColumns, compared, noise_of
@@ -448,6 +447,8 @@ class InitialTurn:
 
 def initial_turn(sensed: SensedSignal, stamp_ns: int) -> InitialTurn | None:
     """Estimate it from the first x and z axes in the world frame; None if undetermined."""
+    from scipy.spatial.transform import Rotation
+
     values = sensed.signal.values
     good = np.isfinite(values).all(axis=1)
     turns = Rotation.from_matrix(rotations(values[good]))

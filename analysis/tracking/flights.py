@@ -147,6 +147,7 @@ def longest_flight(
 # Way of a candidate over which it moved, and its least area: noise makes smaller ones.
 _MOVED_PX, _LEAST_PX2 = 0.5, 20.0
 _REPEATED = 0.2  # fraction of a film's pictures from which on it doubles them
+_MOST_REPEATS = 4  # of one picture, in a row: in more of them the ball lies
 
 
 def fresh_pictures(table: Candidates) -> Index | None:
@@ -159,7 +160,7 @@ def fresh_pictures(table: Candidates) -> Index | None:
     moved = np.any((table.areas_px[1:] > _LEAST_PX2) & ~stays, axis=1)
     edges = np.diff(np.concatenate([[0], ~moved, [0]]).astype(int))
     firsts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    short = ends - firsts <= 2 * np.median(ends - firsts) + 1 if len(firsts) else firsts > 0
+    short = ends - firsts <= _MOST_REPEATS
     kept = np.ones(len(table.seconds), dtype=bool)
     for first, end in zip(firsts[short], ends[short], strict=True):
         kept[first + 1 : end + 1] = False

@@ -35,7 +35,6 @@ from tunenet_logs.recorders.simulators.known import ball_world, engine
 _MIN_SPEED = 1e-5  # [drop heights, sqrt(2 H / g)]; a slower is at rest: it would rise 2.5e-11 H
 _MIN_DRAG = 1e-9  # with less, a flight is a parabola
 _LANDED = -17.0  # angle after which a flight is over, whatever the drag
-_FALL = np.zeros(1)  # place of the fall in a list of flights
 
 
 @dataclass(frozen=True)
@@ -56,6 +55,10 @@ class Bounce:
 
     def flights(self, last: float) -> tuple[Array, Array]:
         """Compute when flights up to a time s start, and their first speeds, each of shape (N,)."""
+        starts, speeds = self._flights(last)
+        return np.array(starts), np.array(speeds)
+
+    def _flights(self, last: float) -> tuple[list[float], list[float]]:
         first, each, given = self.impact_speed, self.each, len(self.each)
         usual, power, has_drag = self.restitution, -self.slope, self.drag >= _MIN_DRAG
         per_speed, twice_rate = math.sqrt(self.drag / 2.0), math.sqrt(2.0 * self.drag)
@@ -82,7 +85,7 @@ class Bounce:
             count += 1
         if speed <= _MIN_SPEED:
             speeds[-1] = 0.0
-        return np.array(starts), np.array(speeds)
+        return starts, speeds
 
     def arrivals(self, speeds: Array) -> Array:
         """Compute the speeds of the impacts before flights of these speeds, shape (N,)."""
@@ -118,33 +121,45 @@ def flown_by(balls: Sequence[Bounce], places: Array) -> tuple[Array, Array]:
     A flight is an angle: its rate times the time to its apex. The speed over the terminal one is
     the angle's tan on the way up and its tanh on the way down, and heights are logarithms of these.
     """
-    drags = np.array([max(ball.drag, _MIN_DRAG) for ball in balls])
-    rates, falls = np.sqrt(2.0 * drags), np.array([ball.fall_time for ball in balls])
-    lasts = places.max(axis=1, initial=0.0).tolist()
-    flights = [ball.flights(last) for ball, last in zip(balls, lasts, strict=True)]
+    drags = [max(ball.drag, _MIN_DRAG) for ball in balls]
+    falls = [ball.fall_time for ball in balls]
     # All flights in one list; the first of each ball is the fall, of which the apex is known.
-    counts = np.array([1 + len(starts) for starts, _ in flights])
-    first = counts.cumsum() - counts
-    rate = np.repeat(rates, counts)
-    reach = np.concatenate([part for _, left in flights for part in (_FALL, left)]) * rate / 2
-    apexes = np.concatenate([part for starts, _ in flights for part in (_FALL, starts)])
+    starts: list[float] = []
+    speeds: list[float] = []
+    at = np.empty(places.shape, np.intp)
+    first: list[int] = []
+    for ball, row, flight in zip(balls, places, at, strict=True):
+        own, left = ball._flights(float(row.max(initial=0.0)))
+        first.append(len(starts))
+        np.add(np.array(own).searchsorted(row, side="right"), len(starts), out=flight)
+        starts += (0.0, *own)
+        speeds += (0.0, *left)
+    rates = np.sqrt(np.array(drags) * 2.0)
+    rate = np.repeat(rates, np.diff(first, append=len(starts)))
+    reach = np.array(speeds)
+    reach *= rate / 2
+    apexes = np.array(starts)
     apexes += np.arctan(reach) / rate
-    tops = np.log1p(reach**2) / rate**2
-    apexes[first], tops[first] = -falls, 1.0
-    at = first[:, None] + np.array(
-        [
-            np.searchsorted(starts, row, side="right")
-            for (starts, _), row in zip(flights, places, strict=True)
-        ]
-    )
+    tops = np.log1p(reach * reach) / rate**2
+    apexes[first], tops[first] = np.negative(falls), 1.0
     # Before the fall the ball is held, or it rises: pi / 2 is infinitely fast.
-    risen = np.array([1.5 if ball.starts_in_flight else 0.0 for ball in balls]) / rates
-    since = np.maximum(places, (-falls - risen)[:, None])
-    angles = np.maximum(rates[:, None] * (apexes[at] - since), _LANDED)
+    rates = rates[:, None]
+    earliest = np.negative([[fall] for fall in falls])
+    earliest -= np.array([[1.5 * ball.starts_in_flight] for ball in balls]) / rates
+    angles = apexes[at]
+    angles -= np.maximum(places, earliest)
+    angles *= rates
+    np.maximum(angles, _LANDED, out=angles)
     paces = np.where(angles > 0.0, np.tan(angles), np.tanh(angles))
-    heights = tops[at] - np.abs(np.log1p(paces * np.abs(paces))) / (2.0 * drags)[:, None]
+    heights = np.log1p(paces * np.abs(paces))
+    np.abs(heights, out=heights)
+    heights /= -(rates**2)
+    heights += tops[at]
     flies = (heights > 0.0) | (places < 0.0)  # else it is at rest, or in a contact
-    return heights * flies, paces * flies * np.sqrt(2.0 / drags)[:, None]
+    heights *= flies
+    paces *= flies
+    paces *= 2.0 / rates
+    return heights, paces
 
 
 # ---- Vertical flight in closed form: dv/dt = -g - k v |v|, with the drag k [1/m]
@@ -181,32 +196,27 @@ def flown(
 
 
 def flown_heights_m(
-    height_m: float, speed_m_s: float, seconds: Array, gravity_m_s2: float, drag_1_m: float
+    heights_m: Array, speeds_m_s: Array, seconds: Array, gravity_m_s2: float, drag_1_m: float
 ) -> Array:
-    """Compute heights [m] after times of free flight; see `flown`."""
+    """Compute heights [m] after times of free flights, all of shape (T,); see `flown`."""
     if drag_1_m < _MIN_FLIGHT_DRAG_1_M:
-        return height_m + (speed_m_s - gravity_m_s2 / 2 * seconds) * seconds
+        return heights_m + (speeds_m_s - gravity_m_s2 / 2 * seconds) * seconds
     rate, terminal = math.sqrt(gravity_m_s2 * drag_1_m), math.sqrt(gravity_m_s2 / drag_1_m)
-    heights_m = np.empty(len(seconds))
-    rising, rises_s, top_m = 0, 0.0, height_m
-    if speed_m_s > 0:
-        angle = math.atan(speed_m_s / terminal)
-        rises_s, speed = angle / rate, 0.0
-        rising = int(np.searchsorted(seconds, rises_s))
-        left = np.cos(angle - rate * seconds[:rising])
-        heights_m[:rising] = height_m + np.log(left / math.cos(angle)) / drag_1_m
-        top_m += math.log(math.hypot(1.0, speed_m_s / terminal)) / drag_1_m
-    else:
-        speed = -speed_m_s
-    since = math.atanh(min(speed / terminal, _MAX_TERMINAL_SHARE))
-    until = since + rate * (seconds[rising:] - rises_s)
+    rising = np.maximum(speeds_m_s / terminal, 0.0)
+    apex = np.arctan(rising)  # an angle, see `flown_by`
+    angles = rate * seconds
+    tops = 0.5 * np.log1p(rising**2)
+    falling = np.minimum(np.maximum(speeds_m_s / -terminal, 0.0), _MAX_TERMINAL_SHARE)
+    since = np.arctanh(falling)
+    until = since + np.maximum(angles - apex, 0.0)
     log_cosh = np.where(
         until < 1,
         np.log1p(2 * np.sinh(np.minimum(until, 1.0) / 2) ** 2),
         until + np.log1p(np.exp(-2 * until)) - math.log(2),
     )
-    heights_m[rising:] = top_m - (log_cosh - _log_cosh(since)) / drag_1_m
-    return heights_m
+    log_cosh += 0.5 * np.log1p(-(falling**2))  # less that of the speed that it begins with
+    below = np.where(angles < apex, -np.log(np.cos(np.maximum(apex - angles, 0.0))), log_cosh)
+    return heights_m + (tops - below) / drag_1_m
 
 
 def lands_after_s(height_m: float, speed_m_s: float, gravity_m_s2: float, drag_1_m: float) -> float:
@@ -265,6 +275,11 @@ class SpeedLaw:
         ratio = np.maximum(speeds_m_s, MIN_SPEED_M_S) / self.at_m_s
         return np.clip(self.restitution * ratio**-self.slope, 0.0, 1.0)
 
+    def at_speed(self, speed_m_s: float) -> float:
+        """Compute the restitution, 0 to 1, at one impact of this speed [m/s]."""
+        ratio = max(speed_m_s, MIN_SPEED_M_S) / self.at_m_s
+        return min(max(self.restitution * ratio**-self.slope, 0.0), 1.0)
+
 
 # ---- Drop: flights in closed form, impacts solved by the engine
 
@@ -319,14 +334,16 @@ def bounced_heights_m(
     gravity = world.contact.gravity_m_s2
     height_m, speed_m_s = world.radius_m + rig.gap_m, rig.speed_m_s
     world.place(rig.gap_m, law.restitution)
-    heights_m = np.empty(len(seconds))
-    now_s, first = 0.0, 0
+    if not len(seconds):
+        return np.empty(0)
+    # Of each flight: the height and speed that it begins with, when, and its first sample.
+    flights: list[tuple[float, float, float, int]] = []
+    now_s, first, rests = 0.0, 0, len(seconds)
     while first < len(seconds):
+        flights.append((height_m, speed_m_s, now_s, first))
         gap_m = max(height_m - world.radius_m + OVERLAP_M, 0.0)
         lasts_s = lands_after_s(gap_m, speed_m_s, gravity, drag_1_m)
-        last = int(np.searchsorted(seconds, now_s + lasts_s))
-        since_s = np.maximum(seconds[first:last] - now_s, 0.0)
-        heights_m[first:last] = flown_heights_m(height_m, speed_m_s, since_s, gravity, drag_1_m)
+        last = int(seconds.searchsorted(now_s + lasts_s))
         if last == len(seconds):
             break
         half_s = lasts_s / 2
@@ -334,13 +351,19 @@ def bounced_heights_m(
             end_m, after_m_s = flown(height_m, speed_m_s, half_s, gravity, drag_1_m)
             world.set_speed((end_m - height_m) / half_s + gravity * half_s)
             (height_m, _), speed_m_s = world.step(half_s), after_m_s
-        world.set_restitution(float(law.at(np.array(-speed_m_s))))
+        world.set_restitution(law.at_speed(-speed_m_s))
         world.set_speed(speed_m_s + gravity * IMPACT_S)
         height_m, speed_m_s = world.step(IMPACT_S)
         now_s, first = now_s + lasts_s + IMPACT_S, last
         if abs(speed_m_s) < 0.01:  # [m/s]; the ground bears the weight
-            heights_m[first:] = height_m
+            rests = first
             break
+    begun = np.array(flights)
+    counts = np.diff(begun[:, 3].astype(np.intp), append=rests)
+    from_m, speeds_m_s, starts_s = np.repeat(begun[:, :3], counts, axis=0).T
+    since_s = np.maximum(seconds[:rests] - starts_s, 0.0)
+    heights_m = np.full(len(seconds), height_m)
+    heights_m[:rests] = flown_heights_m(from_m, speeds_m_s, since_s, gravity, drag_1_m)
     return heights_m
 
 

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib import import_module
 from importlib.util import find_spec
 from math import inf, isfinite, pi
@@ -199,6 +199,7 @@ def simulated_by(name: str | None) -> Iterator[None]:
             os.environ[ENGINE_VARIABLE] = before
 
 
+@cache
 def named_version(module: str, *packages: str) -> str:
     """Return a module's name with its version, as a log states it: "mujoco 4.0.0"."""
     from importlib.metadata import PackageNotFoundError, version

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from tests.analysis.answers import known, steps, trace_of, value
 from tests.conftest import ROOT, real, record, tune_all
@@ -27,7 +28,7 @@ from tests.strangers import Stranger, write_poses
 from tunenet_logs.analysis.experiment import Claim, Tuning, drop_invalid_samples
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.registry import EXPERIMENTS, METHODS, experiment_named, kinds_in
-from tunenet_logs.analysis.statistics import mixture_quantile
+from tunenet_logs.analysis.statistics import mixture_quantile, normal_cdf
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.reader import read_episode
@@ -247,6 +248,11 @@ def test_the_interval_is_that_of_a_mixture_whose_weights_need_not_add_up_to_one(
         weights = scale * np.array([0.6, 0.3, 1e-13])
         ends = [mixture_quantile(at, middles, sds, weights) for at in (0.025, 0.975)]
         assert ends == pytest.approx(np.quantile(drawn, (0.025, 0.975)), abs=3e-4)
+
+
+def test_the_normal_distribution_is_scipys():
+    values = np.linspace(-12.0, 12.0, 10_001)
+    assert normal_cdf(values) == pytest.approx(ndtr(values), abs=1e-9)
 
 
 # ---- Every rejection ends with what to do

@@ -391,6 +391,52 @@ def test_columns_are_what_messages_are_one_by_one(
         assert found.channels[0].skipped == wanted.channels[0].skipped
 
 
+def posed(kind: str, k: int) -> bytes:
+    """Serialise a pose or transforms, in frames of several names, some without a unit rotation."""
+    stamp_ns, frame = START_NS + k * STEP_NS, ("map", "odom", "m")[k % 3]
+    place, turn = (k / 7, -k, 1.0), (0.0, 0.0, 0.6, 0.8) if k % 5 else (0.0, 0.0, 0.0, 0.0)
+    point, turned = dict(zip("xyz", place, strict=True)), dict(zip("xyzw", turn, strict=True))
+    about = header(stamp_ns, frame)
+    if kind.endswith("PointStamped"):
+        fields: dict = {"header": about, "point": point}
+    elif kind.endswith("PoseStamped"):
+        fields = {"header": about, "pose": {"position": point, "orientation": turned}}
+    else:
+        one = {"header": about, "transform": {"translation": point, "rotation": turned}}
+        fields = {
+            "transforms": [one | {"child_frame_id": name} for name in ("a", "b")[: 1 + k % 2]]
+        }
+    return bytes(STORE.serialize_cdr(made(STORE, kind, fields), kind))
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "geometry_msgs/msg/PoseStamped",
+        "geometry_msgs/msg/PointStamped",
+        "tf2_msgs/msg/TFMessage",
+    ],
+)
+def test_positions_of_one_layout_are_what_they_are_one_by_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+):
+    data = [posed(kind, k) for k in range(300)]
+    data[77] = data[77][:-9]
+    schema = Schema(kind, "ros2msg", definition(STORE, kind))
+    sent = [("/body", schema, START_NS + k * STEP_NS, one) for k, one in enumerate(data)]
+    path = write_raw(tmp_path / "a.mcap", sent)
+    found = [read_episode(path)]
+    monkeypatch.setattr(reader, "_MIN_STACKED", 10**9)
+    found.append(read_episode(path))
+    together, alone = found
+    assert list(together.signals) == list(alone.signals)
+    assert together.warnings == alone.warnings
+    for own, other in zip(together.signals.values(), alone.signals.values(), strict=True):
+        assert (own.columns, own.frame) == (other.columns, other.frame)
+        assert np.array_equal(own.stamps_ns, other.stamps_ns)
+        assert np.array_equal(own.values, other.values, equal_nan=True)
+
+
 def test_layouts_by_turns_keep_their_order_and_damage_is_left_out(tmp_path: Path):
     """An arm and a gripper on one topic, whose messages have several lengths and names."""
     names = (AB, ("gripper",), AB)

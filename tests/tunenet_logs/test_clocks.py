@@ -24,10 +24,13 @@ from tunenet_logs.formats.columns.table import rows_of_runs
 from tunenet_logs.media import StoredTimes, clock_of
 from tunenet_logs.reader import read_episode
 from tunenet_logs.timing.arrivals import (
+    Clocks,
     UniformClock,
+    assign_ticks,
     changing_rate,
     conversions,
     correct_late_stamps,
+    likeliest_ticks,
     recover_uniform_clock,
 )
 from tunenet_logs.timing.stamps import (
@@ -401,6 +404,22 @@ def test_a_clock_that_drifts_is_followed_and_few_samples_tell_none():
     assert np.std(clock.stamps - taken) < 0.5
     assert recover_uniform_clock(np.arange(10) * 1_000_000) is None
     assert recover_uniform_clock(np.full(100, 5)) is None
+
+
+def test_the_likeliest_ticks_are_those_of_all_ways():
+    """Viterbi's ways are as cheap as the cheapest of min-sum, which looks at all of them."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        taken = np.flatnonzero(rng.random(90) > 0.1) * 10.0
+        came = np.maximum.accumulate(taken + rng.exponential(rng.choice([1.0, 8.0]), len(taken)))
+        periods = np.array([9.9, 10.0, 10.2])
+        clocks = Clocks(periods, np.zeros(3), np.full(3, 5.0), np.array([0, 1, 0]))  # of both laws
+        costs, skipped = likeliest_ticks(came, clocks, 2)
+        every = assign_ticks(came, clocks, 2)
+        assert costs == pytest.approx(every.costs, rel=1e-6)
+        assert (np.diff(skipped) >= 0).all()
+        extra = np.take_along_axis(every.excess, skipped[:, :, None] + 2, axis=2)
+        assert np.abs(extra).max() < 1e-3
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.3])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
@@ -133,7 +134,7 @@ def _point(path: str, origin: Callable[[Any], tuple[int, str]]) -> Callable[[Any
 
     def read(message: Any) -> Iterable[PositionSample]:
         point, (stamp_ns, frame) = point_of(message), origin(message)
-        return ((stamp_ns, "", frame, float(point.x), float(point.y), float(point.z)),)
+        return ((stamp_ns, "", frame, *_xyz(point)),)
 
     return read
 
@@ -164,13 +165,27 @@ def _foxglove_transform(message: Any) -> PositionSample:
 
 def _placed(stamp_ns: int, frame: str, name: str, point: Any, turn: Any) -> PositionSample:
     """Return a sample, without orientation where `turn` is no unit quaternion, as one of zeros."""
+    if isinstance(point.x, np.ndarray):  # of many messages
+        four = np.full((4, len(point.x)), np.nan)
+        with suppress(AttributeError, TypeError, ValueError):
+            four[:] = turn.x, turn.y, turn.z, turn.w
+        with np.errstate(over="ignore", invalid="ignore"):
+            is_unit = np.abs(np.sqrt((four**2).sum(axis=0)) - 1.0) < 0.1
+        return stamp_ns, name, frame, *_xyz(point), *np.where(is_unit, four, np.nan)
     try:
         parts = float(turn.x), float(turn.y), float(turn.z), float(turn.w)
     except (AttributeError, TypeError, ValueError):
         parts = _NO_ORIENTATION
     if not abs(math.hypot(*parts) - 1.0) < 0.1:  # NaN, too
         parts = _NO_ORIENTATION
-    return stamp_ns, name, frame, float(point.x), float(point.y), float(point.z), *parts
+    return stamp_ns, name, frame, *_xyz(point), *parts
+
+
+def _xyz(point: Any) -> tuple[Any, Any, Any]:
+    """Return its three numbers, or arrays of those of many messages."""
+    if isinstance(point.x, np.ndarray):
+        return point.x, point.y, point.z
+    return float(point.x), float(point.y), float(point.z)
 
 
 def _joint_state(message: Any) -> JointSample:

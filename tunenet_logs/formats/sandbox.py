@@ -41,6 +41,7 @@ _ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "MALLOC_ARENA_MAX": "2",
     "HDF5_PLUGIN_PRELOAD": "::",
+    "MUJOCO_GL": "disable",  # nothing is drawn
 }
 # What the child runs: from the same folder as its parent, by compiled modules.
 _IN_ROOT = "/tunenet_logs/formats/sandbox.py"

@@ -155,54 +155,101 @@ def assign_ticks(
     The first may be `before` ticks earlier than `starts`; of a sample `held` it is known how many
     ticks are skipped up to it.
     """
+    paid = _tick_costs(arrivals, clocks, before)
+    if held is not None:
+        paid[np.arange(len(paid)) != held[1] + before, :, held[0]] = NEVER
+    return _solved(paid, before)
+
+
+def likeliest_ticks(
+    arrivals: Array, clocks: Clocks, before: int
+) -> tuple[Array, NDArray[np.int64]]:
+    """Assign arrivals by the Viterbi algorithm: costs and skipped ticks of a `TickAssignment`."""
+    paid = _tick_costs(arrivals, clocks, before)
+    own = paid.cumsum(axis=2, dtype=np.float64)
+    least = _least_sums(own)  # to come to each tick up to each sample, less the sums of its own
+    at_end = least[:, :, -1] + own[:, :, -1]
+    rows, numbers, states = np.arange(paid.shape[1]), np.arange(len(arrivals)), np.arange(len(paid))
+    state, end = at_end.argmin(axis=0), np.full(paid.shape[1], len(arrivals) - 1)
+    skipped = np.empty(paid.shape[1:], np.int64)
+    skipped[:] = state[:, None]
+    while True:
+        # Back to where each way came to its tick, and to the tick that it came from.
+        along = least[state, rows]
+        entry = (along <= along[rows, end][:, None]).argmax(axis=1)
+        if not entry.any():
+            return at_end.min(axis=0), skipped - before
+        end = np.maximum(entry - 1, 0)
+        came = least[:, rows, end] + own[:, rows, end]
+        came += _NEXT_LOST * (state - 1 - states[:, None])
+        came[states[:, None] >= state] = np.inf
+        state = np.where(entry > 0, came.argmin(axis=0), state)
+        np.copyto(skipped, state[:, None], where=numbers < entry[:, None])
+
+
+def _tick_costs(arrivals: Array, clocks: Clocks, before: int) -> NDArray[np.float32]:
+    """Return what each arrival costs at each number of skipped ticks, shape (S, C, T)."""
     above = delays(arrivals, clocks, np.zeros(len(arrivals), np.int64))
     most = int(np.ceil((above.max(axis=1) / clocks.periods).min()))
     skipped = np.arange(before + 2 + min(max(most, 1), 150)) - float(before)
-    late = above - np.outer(skipped, clocks.periods)[:, :, None]  # shape (S, C, T)
+    late = (
+        above.astype(np.float32) - np.outer(skipped, clocks.periods).astype(np.float32)[..., None]
+    )
     # The negative log likelihood of each delay: of what is early, as the clock is not known exactly
     # [ms], and by the law, up to the limit of it and beyond.
-    scales, is_even = clocks.scales[:, None], (clocks.laws == EVEN)[:, None]
+    scales, is_even = (one[:, None] for one in (clocks.scales, clocks.laws == EVEN))
     costs = np.minimum(late, 0.0)
-    costs /= np.sqrt(2) * np.clip(0.05 * scales, 0.3, 2.0)
+    costs *= (1 / (np.sqrt(2) * np.clip(0.05 * scales, 0.3, 2.0))).astype(np.float32)
     costs *= costs
-    costs += np.log(scales)
-    share = np.divide(late, np.where(is_even, 1.0, _TYPICAL) * scales, out=late)
-    far = np.log(np.maximum(share, 1.0).astype(np.float32))
-    beyond = np.where(is_even, _OUTLIER, _TYPICAL) + _OUTLIERS_FALL * far
-    inside = np.where(is_even, 0.0, _TYPICAL) * np.maximum(share, 0.0)
-    costs += np.where(share > 1.0, beyond, inside)
-    np.minimum(costs, NEVER, out=costs)
-    if held is not None:
-        costs[skipped != held[1], :, held[0]] = NEVER
-    return cheapest(np.moveaxis(costs, 0, 2), before)
+    costs += np.log(scales).astype(np.float32)
+    share = late
+    share *= (1 / (np.where(is_even, 1.0, _TYPICAL) * scales)).astype(np.float32)
+    far = np.maximum(share, 1.0)
+    np.log(far, out=far)
+    far *= np.float32(_OUTLIERS_FALL)
+    costs += far
+    costs += np.where(is_even, _OUTLIER, 0.0).astype(np.float32) * (share > 1.0)
+    np.minimum(share, 1.0, out=share)
+    np.maximum(share, 0.0, out=share)
+    share *= np.where(is_even, 0.0, _TYPICAL).astype(np.float32)
+    costs += share
+    return np.minimum(costs, NEVER, out=costs)
 
 
 def cheapest(costs: Array, before: int) -> TickAssignment:
     """Solve the assignment by dynamic programming from the cost of each tick, shape (C, T, S)."""
-    paid = np.ascontiguousarray(np.moveaxis(costs, 2, 0))
-    onward, backward = _sums(paid), _sums(paid[::-1, :, ::-1])[::-1, :, ::-1]
-    total = np.moveaxis(onward + backward - paid, 0, 2)  # of all ways through a sample and tick
+    return _solved(np.ascontiguousarray(np.moveaxis(costs, 2, 0)), before)
+
+
+def _solved(paid: NDArray[np.floating], before: int) -> TickAssignment:
+    """Solve the assignment from the cost of each number of skipped ticks, shape (S, C, T)."""
+    onward, backward = (
+        (own := part.cumsum(axis=2, dtype=np.float64)) + _least_sums(own)
+        for part in (paid, paid[::-1, :, ::-1])
+    )
+    # Of all ways through a sample and tick.
+    total = np.moveaxis(onward + backward[::-1, :, ::-1] - paid, 0, 2)
     least = total[:, 0].min(axis=1)
     excess = total - least[:, None, None]
     # Of ways that cost the same the lowest is taken everywhere: they would else be mixed.
     return TickAssignment(least, (excess < 1e-6).argmax(axis=2) - before, excess, before)
 
 
-def _sums(paid: Array) -> Array:
-    """Compute the least cost of all ways up to each sample and tick, by min-sum, (S, C, T).
+def _least_sums(own: Array) -> Array:
+    """Compute the least cost of all ways to each tick up to each sample, by min-sum, (S, C, T).
 
-    Ticks are only ever skipped: of one number of these, a way that comes there at a sample pays all
-    samples from it on, so the least of all such ways is a running minimum.
+    Less the sums of the tick's `own` costs: ticks are only ever skipped, and a way that comes to
+    one number of these at a sample pays all samples from it on, so the least of all such ways is a
+    running minimum.
     """
-    own = paid.cumsum(axis=2)
     sums = np.empty_like(own)
-    comes = np.full(paid.shape[1:], np.inf)  # the least cost of coming there, without the sample's
-    for total, whole, each in zip(sums, own, paid, strict=True):
-        since = comes - (whole - each)
-        since[:, 0] = 0.0  # it may begin there
-        np.add(np.minimum.accumulate(since, axis=1), whole, out=total)
+    comes = np.full(own.shape[1:], np.inf)  # the least cost of coming there, without the sample's
+    for least, whole in zip(sums, own, strict=True):
+        np.subtract(comes[:, 1:], whole[:, :-1], out=least[:, 1:])
+        least[:, 0] = 0.0  # it may begin there
+        np.minimum.accumulate(least, axis=1, out=least)
         comes += _NEXT_LOST
-        np.minimum(comes[:, 1:], total[:, :-1] + _FIRST_LOST, out=comes[:, 1:])
+        np.minimum(comes[:, 1:], least[:, :-1] + whole[:, :-1] + _FIRST_LOST, out=comes[:, 1:])
     return sums
 
 
@@ -484,18 +531,18 @@ def _best(arrivals: Array, periods: Array, scale: float) -> tuple[Clocks, float,
     room = ((starts - above.min(axis=1)) / periods).min()
     before = int(np.clip(np.ceil(room), 0, 100)) + 1
     clocks = Clocks(periods, starts, np.repeat([scale, scale / 3], count), laws)
-    placing = assign_ticks(arrivals, clocks, before)
-    for refined in range(2):
-        late = delays(arrivals, clocks, placing.skipped)
+    costs, skipped = likeliest_ticks(arrivals, clocks, before)
+    for kept in (len(laws), _REFINED):
+        chosen = np.sort(costs.argsort()[:kept])
+        clocks = clocks.part(chosen)
+        late = delays(arrivals, clocks, skipped[chosen])
         moved = np.quantile(late, 0.02, axis=1)  # the earliest, of which a few may be wrong
         late -= moved[:, None]
         scales = _scales(late.clip(0), clocks.laws)
         clocks = clocks._replace(starts=clocks.starts + moved, scales=scales)
-        if refined:
-            clocks = clocks.part(np.sort(placing.costs.argsort()[:_REFINED]))
-        placing = assign_ticks(arrivals, clocks, before)
-    best = int(placing.costs.argmin())
-    return clocks.part(slice(best, best + 1)), float(placing.costs[best]), placing.skipped[best]
+        costs, skipped = likeliest_ticks(arrivals, clocks, before)
+    best = int(costs.argmin())
+    return clocks.part(slice(best, best + 1)), float(costs[best]), skipped[best]
 
 
 def _possible(excess: Array, numbers: NDArray[np.intp], before: int) -> tuple[Ticks, Ticks]:
@@ -679,7 +726,8 @@ def correct_late_stamps(
         return CorrectedStamps(stamps_ns, clock.stamps_ns, clock)
     steps = np.diff(stamps_ns).astype(np.float64)
     period, lag = float(np.median(steps)), min(LAG, len(steps) // 2)
-    comes_singly = period > median_step(stamps_ns, lag) / 2
+    mean_period = float(median_step(stamps_ns, lag))
+    comes_singly = period > mean_period / 2
     # Where each sample is stamped when it was taken, most steps are like the next one.
     is_exact = comes_singly and np.mean(np.abs(np.diff(steps)) < 0.02 * period) > 0.5
     if comes_singly and is_grid(steps, period):
@@ -688,14 +736,32 @@ def correct_late_stamps(
     if is_exact or len(stamps_ns) > MAX_SAMPLES:
         even = smooth_bursts(stamps_ns, steps, period)
         return CorrectedStamps(stamps_ns, even, rates=changing_rate(even))
+    if comes_singly and not _may_be_late(steps, mean_period):
+        return CorrectedStamps(stamps_ns, stamps_ns, rates=changing_rate(stamps_ns, LAG))
     clock, rates = clock_behind(stamps_ns)
     if clock is not None:
         # Delays that exceed rounding, and what is as well left alone.
-        late, least_ms = clock.lateness, max(_LATE * float(np.median(clock.periods)), 0.3)
+        late, least_ms = clock.lateness, _least_ms(float(np.median(clock.periods)))
         rounding_ms = np.gcd.reduce(np.diff(clock.arrivals_ns)) * 1e-6
         if np.ptp(late) >= 1.5 * rounding_ms and _spread(late - np.median(late)) > least_ms:
             return CorrectedStamps(stamps_ns, clock.stamps_ns, clock)
     return CorrectedStamps(stamps_ns, stamps_ns, rates=rates)
+
+
+def _least_ms(period_ms: float) -> float:
+    """Return the standard deviation of delays from which on they are corrected [ms]."""
+    return max(_LATE * period_ms, 0.3)
+
+
+def _may_be_late(steps: NDArray[np.float64], period: float) -> bool:
+    """Check, without a clock, whether one may show delays worth a correction; all in ns.
+
+    They differ no more than steps differ from whole periods, or `clock_behind` finds no clock; but
+    what waited on its way comes at once.
+    """
+    off = steps - period * np.round(steps / period)
+    is_hurried = np.mean(steps < 0.25 * period) > 0.03  # below what `clock_behind` has
+    return bool(is_hurried or 1.5 * _spread(off) > 1e6 * _least_ms(1e-6 * period))
 
 
 def clock_behind(

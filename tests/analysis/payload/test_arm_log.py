@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BSpline, CubicSpline
 
 from tests.analysis.payload.arm_logs import (
     ARM,
@@ -26,7 +26,7 @@ from tests.analysis.payload.arm_logs import (
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.payload.arm_log import ArmLog, match_joints, read_arm_log
 from tunenet_logs.analysis.payload.checks import arm_checks
-from tunenet_logs.analysis.payload.torque_model import arm_motion
+from tunenet_logs.analysis.payload.torque_model import EvenSpline, arm_motion
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode, Signal
 from tunenet_logs.errors import NotFoundError
@@ -425,7 +425,7 @@ def test_a_stamp_days_off_costs_nothing(episode: Episode, at: int, days: int):
     tuning = tune_episode(off, TuneOptions())
     assert tuning.verdict == "ok", tuning.reason
     assert any("the clock jumps by" in words for words in tuning.warnings)
-    assert len(tuning.detection.motion.spline.t) < 200
+    assert len(tuning.detection.motion.spline.coefficients) < 200
     assert tuning.estimate is not None
     assert abs(float(tuning.estimate[0]) - 0.5) < 0.02
 
@@ -434,19 +434,29 @@ def test_a_tare_with_a_stamp_days_off_serves(episode: Episode):
     tare = with_stamps(circle_log(None), pushed(100, DAY_NS * 1e-9, 101))
     tuning = tune_episode(episode, TuneOptions(tares=(tare,)))
     assert tuning.verdict == "ok", tuning.reason
-    assert len(tuning.detection.tares[0].motion.spline.t) < 200
+    assert len(tuning.detection.tares[0].motion.spline.coefficients) < 200
     assert any(words.startswith("tare: ") and "jumps" in words for words in tuning.warnings)
 
 
 def test_hours_between_two_motions_are_no_grid_and_a_minute_is_bridged(episode: Episode):
     log = read(with_stamps(episode, pushed(100, 8 * 3600)))
     assert "a pause of 28800.0 s after sample 100" in log.warnings[0]
-    assert len(arm_motion(log).spline.t) < 200
+    assert len(arm_motion(log).spline.coefficients) < 200
     log = read(with_stamps(episode, pushed(100, 60)))
     assert not log.warnings
     motion = arm_motion(log)
     assert motion.seconds[-1] > 60
-    assert len(motion.spline.t) > 1500
+    assert len(motion.spline.coefficients) > 1500
     hourly = with_stamps(episode, lambda ns: ns + np.arange(len(ns)) // 15 * 3600 * 10**9)
     with pytest.raises(NotFoundError, match="a pause of 3600"):
         read(hourly)
+
+
+@pytest.mark.parametrize("order", range(4))
+def test_a_spline_on_even_knots_is_scipys(order: int):
+    rng = np.random.default_rng(3)
+    spline = EvenSpline(2.0, 0.05, rng.normal(size=(45, 3)))
+    knots = 2.0 + 0.05 * np.arange(-5, 46)
+    seconds = np.linspace(1.95, 4.05, 333)  # a knot beyond either end, too
+    wanted = BSpline(knots, spline.coefficients, 5, extrapolate=True)(seconds, order)
+    assert np.allclose(spline(seconds, order), wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
