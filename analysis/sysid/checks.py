@@ -20,6 +20,7 @@ from tunenet_logs.analysis.checks import (
     table,
 )
 from tunenet_logs.analysis.sysid.fit import (
+    MISSED,
     Agreement,
     ComparedColumns,
     HeldOut,
@@ -97,9 +98,10 @@ SYSID = table(
     CheckSpec(
         "simulation matches",
         at_most(5, "% of its spread", ".3g", fatal=50),
-        seen="{value} % of how much {column} varies is left, rms",
+        seen="{value} % of how much {column} varies is left, rms{where}",
         wanted="wanted: under {limit} %",
-        measures="what is left of each column, as a share of how much it varies (rms)",
+        measures="what is left of each column, as a share of how much it varies (rms); after a "
+        "small error of the start has grown tenfold, it counts less the more that error has grown",
         passes="at most {limit} %, or 1.3 times the noise if more",
         advice=_WRONG_MODEL,
     ),
@@ -113,7 +115,8 @@ SYSID = table(
         "begun anew before a small error of its start has grown tenfold",
         passes="at most twice the noise, or 3 % of how much the column varies there; a straight "
         "line must miss something by twice that. Where the machine rests, or a log does not show "
-        "every joint: twice what the whole fit leaves, or 2 % of how much a column varies beyond",
+        "every joint: twice what the whole fit leaves, or 2 % of how much a column varies beyond; "
+        "and of the whole fit beside its noise at most 3 %",
         advice=_WRONG_MODEL,
     ),
     CheckSpec(
@@ -171,9 +174,12 @@ def whole_check(rollout: Episode) -> Check | None:
     return SYSID["simulation is whole"].measured(not stopped, detail=detail)
 
 
-def match_check(target: ComparedColumns, residuals: Array) -> Check:
-    """Check that each column's residual is its noise, or little of its motion."""
-    spec, left = SYSID["simulation matches"], target.rms(residuals)
+def match_check(target: ComparedColumns, residuals: Array, counts: Array | None = None) -> Check:
+    """Check that each column's residual is its noise, or little of its motion.
+
+    `counts` tells how much each value counts, 0 to 1, shape (N,).
+    """
+    spec, left = SYSID["simulation matches"], target.rms(residuals, counts)
     spreads, noises, good = [], [], []
     for number, column in enumerate(target.columns):
         most = max(one.spread for one in target.columns if one.unit == column.unit)
@@ -188,32 +194,43 @@ def match_check(target: ComparedColumns, residuals: Array) -> Check:
     limits = np.maximum(1.3 * np.array(noises) / np.array(spreads), np.array(good))
     place = int(np.argmax(left / np.array(spreads) / limits))
     share = left[place] / spreads[place]
-    return spec.measured(100 * share, 100 * limits[place], column=target.columns[place].label)
+    where = "" if counts is None or np.all(counts > 0.5) else " (less counts where it is chaotic)"
+    return spec.measured(
+        100 * share, 100 * limits[place], column=target.columns[place].label, where=where
+    )
 
 
 def _held_out_check(found: SimulatorFit, held_out: HeldOut) -> Check:
     """Check that a fit predicts what it has not seen."""
     spec, columns = SYSID["predicts what it was not fitted to"], held_out.columns
+    rms, from_s = held_out.rms, held_out.from_s
     if held_out.horizon_s is None:
         noise, spread = np.array([(one.noise, one.spread) for one in columns]).T
-        floor = np.maximum(found.target.rms(found.solution.residuals), noise)
+        left = found.target.rms(found.solution.residuals)
+        floor = np.maximum(left, noise)
         # As close is good whatever the fit left.
         limits = np.maximum(spec.limit.value * floor, floor + 0.02 * spread)
-        limits = np.maximum(limits, 1e-12)
+        # As nothing was predicted, the fit itself must be as close; noise is known by samples alone
+        counts = np.bincount(found.target.which, minlength=len(columns))
+        own = np.hypot((1 + 2 / np.sqrt(counts)) * noise, MISSED * spread)
+        jumps = np.array([one.is_jumpy for one in columns])
+        is_whole = (left / np.maximum(own, 1e-12) > rms / np.maximum(limits, 1e-12)) & ~jumps
+        rms, limits = np.where(is_whole, left, rms), np.where(is_whole, own, limits)
+        limits, from_s = np.maximum(limits, 1e-12), np.where(is_whole, 0.0, from_s)
     else:
         limits = held_out.limits
-    place = int(np.argmax(held_out.rms / limits))
+    place = int(np.argmax(rms / limits))
     column = columns[place]
     begins = f", begun anew every {held_out.horizon_s:.2g} s" if held_out.count > 1 else ""
     if not held_out.is_told:
         begins += ", in which a straight line does as well"
     return spec.measured(
-        held_out.rms[place],
+        rms[place],
         limits[place],
         passed=None if held_out.is_told else False,
         unit="" if column.unit == "1" else column.unit,
         space="" if column.unit == "1" else " ",
-        from_s=held_out.from_s[place],
+        from_s=from_s[place],
         column=column.label,
         before=held_out.before[place],
         begins=begins,

@@ -335,7 +335,8 @@ class SimulatorExperiment:
         whole = whole_check(last.evaluation.episode)
         checks = (*recording_checks(target), *([whole] if whole else []))
         others = other_checks(detection, fit.detail if fit else None)
-        checks = (*checks, *others, match_check(target, residuals))
+        counts = fit.detail.predictable if fit else None
+        checks = (*checks, *others, match_check(target, residuals, counts))
         return (*checks, *fit_checks(fit.detail)) if fit else checks
 
     def cross_check(self, detection: SimulatorDetection, estimate: Array) -> CrossCheck | None:

@@ -127,14 +127,25 @@ class ComparedColumns:
         )
         return ComparedColumns(self.start_ns + first_ns, columns)
 
-    def rms(self, residuals: Array, chosen: NDArray[np.bool_] | None = None) -> Array:
-        """Return the root mean square by column, shape (C,), of (chosen) values of shape (N,)."""
-        kept = np.isfinite(residuals) if chosen is None else np.isfinite(residuals) & chosen
-        squares = np.bincount(
-            self.which, np.where(kept, residuals, 0.0) ** 2, minlength=len(self.columns)
-        )
-        counts = np.bincount(self.which, kept, minlength=len(self.columns))
-        return np.sqrt(squares / np.maximum(counts, 1))
+    def columns_at(self, chosen: NDArray[np.bool_]) -> ComparedColumns:
+        """Return whole columns, by which values they have, shape (N,); seconds from their first."""
+        numbers = np.unique(self.which[chosen])
+        first_s = min(float(self.columns[number].seconds[0]) for number in numbers)
+        columns = [self.columns[number] for number in numbers]
+        kept = tuple(replace(one, seconds=one.seconds - first_s) for one in columns)
+        return ComparedColumns(self.start_ns + round(first_s * 1e9), kept)
+
+    def rms(self, residuals: Array, chosen: Array | NDArray[np.bool_] | None = None) -> Array:
+        """Return the root mean square by column, shape (C,), of values of shape (N,).
+
+        `chosen` tells which count, or how much each counts.
+        """
+        good = np.isfinite(residuals)
+        counts = np.where(good, 1.0 if chosen is None else chosen, 0.0)
+        squares = counts * np.where(good, residuals, 0.0) ** 2
+        sums = np.bincount(self.which, squares, minlength=len(self.columns))
+        weights = np.bincount(self.which, counts, minlength=len(self.columns))
+        return np.sqrt(sums / np.where(weights > 0, weights, 1.0))
 
 
 def compared(observed: Episode, rollout: Episode) -> ComparedColumns:
@@ -185,6 +196,50 @@ def noise_of(values: Array) -> float:
     steps = np.abs(np.diff(np.unique(values)))
     resolution = float(steps.min()) / np.sqrt(12.0) if len(steps) else 0.0
     return max(noise, resolution)
+
+
+# ---- How a small error of the start grows
+
+GROWTH = 10.0  # of an error of the start, from which on little is predicted
+BINS = 200  # of time, over which growth is told
+_CHANGES = 10  # that a log has at least, of a part that is compared with what follows
+
+
+def _bins_of(target: ComparedColumns) -> NDArray[np.intp]:
+    """Return the bin of time of each value, shape (N,)."""
+    return np.minimum((target.seconds / max(target.end_s, 1e-9) * BINS).astype(np.intp), BINS - 1)
+
+
+def growth(target: ComparedColumns, changes: Array) -> tuple[Array, Array]:
+    """Return how many times as large errors of a start are, by bins of time: all, and the worst.
+
+    `changes` is what an error of each number of the start changes, in spreads, shape (S, N). It is
+    measured against the largest that it is until the motion has changed by its own size: an error
+    of a speed is none of a place at first.
+    """
+    place = _bins_of(target)
+    counts = np.maximum(np.bincount(place, minlength=BINS), 1)
+    squares = [np.bincount(place, row**2, minlength=BINS) for row in changes]
+    error = np.sqrt(np.array(squares).reshape(-1, BINS) / counts)
+    first = max(int(BINS * _changes_s(target) / max(target.end_s, 1e-9)), 1)
+    begins = np.maximum(error[:, :first].max(axis=1, initial=0.0), 1e-12)
+    every = np.linalg.norm(error, axis=0)
+    every /= max(float(every[:first].max()), 1e-12)
+    return every, (error / begins[:, None]).max(axis=0, initial=0.0)
+
+
+def _changes_s(target: ComparedColumns) -> float:
+    """Return the time in which the fastest column changes by its standard deviation, rms."""
+    found = [target.end_s / _CHANGES]
+    for one in target.columns:
+        spread = float(np.std(one.values))
+        if spread < 3.0 * one.noise:
+            continue
+        for lag in range(1, max(len(one.values) // _CHANGES, 2)):
+            if np.mean((one.values[lag:] - one.values[:-lag]) ** 2) >= spread**2:
+                found.append(float(np.median(one.seconds[lag:] - one.seconds[:-lag])))
+                break
+    return min(found)
 
 
 # ---- Finite differences of rollouts: slopes, second differences, and the cost's minimum
@@ -266,7 +321,7 @@ class Solution:
     slopes: Array  # Jacobian of the rollouts, shape (M, P)
     noise: Array  # RMS residual of each column, shape (C,)
     path: tuple[Array, ...]  # the values of each step, the start first
-    chosen: NDArray[np.bool_]  # which of the M values it was fitted to
+    chosen: Array  # how much each of the M values counted, 0 to 1
     bends: Array  # second differences of the rollouts, by the parameters, shape (P, M)
 
 
@@ -287,6 +342,7 @@ class RolloutLeastSquares:
     target: ComparedColumns  # columns to compare with
     parameters: tuple[Parameter, ...]  # all that are fitted, P of them
     fitted: NDArray[np.bool_] | None = None  # which values it is fitted to, shape (M,); None: all
+    counts: Array | None = None  # how much each value counts, 0 to 1, shape (M,); None: all alike
 
     def __post_init__(self) -> None:
         self._scales = ranges_of(self.parameters)
@@ -295,8 +351,8 @@ class RolloutLeastSquares:
         self._precision = np.array(
             [0.0 if one.prior_sd is None else one.prior_sd**-2 for one in self.parameters]
         )
-        every = np.ones(len(self.target.values), dtype=np.bool_)
-        self.chosen = every if self.fitted is None else self.fitted
+        every = np.ones(len(self.target.values)) if self.counts is None else self.counts
+        self.chosen = every if self.fitted is None else every * self.fitted
         self._spread = np.array([column.spread for column in self.target.columns])
         # A simulator is never weighed as more exact than this share of a column's spread.
         self._floor = np.maximum(1e-3 * self._spread, 1e-12)
@@ -317,7 +373,7 @@ class RolloutLeastSquares:
     def cost(self, residuals: Array, values: Array, noise: Array) -> float:
         """Return twice the negative log likelihood and prior, up to a constant, at values (P,)."""
         scaled = residuals / self.target.per_value(noise)
-        fit = float(np.sum(scaled[self.chosen] ** 2))
+        fit = float(np.sum(self.chosen * scaled**2))
         return fit + float(np.sum(self._precision * (values - self._centres) ** 2))
 
     def curvature(self, solution: Solution, along: Array) -> float:
@@ -622,7 +678,9 @@ def covariance(
 
 # ---- Fit of all parameters, its hold-out, and how sure each is
 
-_MISSED = 0.03  # of how much a column varies in what is held out, that may be missed
+MISSED = 0.03  # of how much a column varies in what is held out, that may be missed
+_LOOSENED, _LOOSEST = 1.5, 10.0  # times as unsure a start as read: from when on, and at most
+_LOOKS = 2  # at where a motion is predictable, from the start and from what that gave
 _CONTRADICTS = 4.0  # of the cost, twice a log likelihood: two standard deviations
 
 
@@ -650,8 +708,8 @@ class HeldOut:
             for each in self.columns
         ]
         noise = np.array([one.noise for one in self.columns])
-        least = np.maximum(0.1 * _MISSED * np.array(most), 2.0 * noise)
-        return np.maximum(np.maximum(_MISSED * self.spread, least), 1e-12)
+        least = np.maximum(0.1 * MISSED * np.array(most), 2.0 * noise)
+        return np.maximum(np.maximum(MISSED * self.spread, least), 1e-12)
 
     @property
     def is_told(self) -> bool:
@@ -673,6 +731,17 @@ class Agreement:
     others: Array  # shape (L, T)
     apart: Array  # difference, in standard deviations, shape (L, T)
 
+    @property
+    def birge(self) -> Array:
+        """How many times as far the logs scatter as each by itself lets expect, shape (T,).
+
+        Birge's ratio (1932); 1 where chance scatters them so in more than one case of ten.
+        """
+        from scipy.special import chdtri
+
+        squares, free = np.mean(self.apart**2, axis=0), len(self.names) - 1
+        return np.sqrt(np.where(squares > chdtri(free, 0.1) / free, squares, 1.0))
+
 
 @dataclass(frozen=True, eq=False)
 class SimulatorFit:
@@ -691,6 +760,7 @@ class SimulatorFit:
     held_out: HeldOut | None  # None if the log is too short
     correlation: Array  # of all values, shape (P, P)
     inflation: Array  # ratio of each sd to that with all others known, shape (P,)
+    predictable: Array  # how much each value says of the model, 0 to 1, shape (M,)
     agreement: Agreement | None = None  # of several logs
 
     @property
@@ -732,8 +802,13 @@ def fit_simulator(
     given = np.array([one.initial for one in parameters])
     first = run(given[None])[0]
     solution = steps.solve(np.concatenate([start, given[tuned:]]))
+    which = np.zeros(len(target.values), dtype=np.intp) if logs is None else logs[1]
+    if not _is_good(solution, target):
+        steps, solution = _where_predictable(steps, solution, which)
+    steps, solution = _loosened(steps, solution)
     if not _is_good(solution, target):
         solution = _from_elsewhere(steps, solution, tuned)
+    parameters = steps.parameters
     cov, independent = covariance(solution, target, parameters)
     sd = np.sqrt(np.diag(cov))
     correlation = cov / np.outer(sd, sd)
@@ -751,6 +826,9 @@ def fit_simulator(
     if unresolved is not None:  # the others follow what the step leaves unsure of one
         followed = cov * (unresolved / np.diag(cov))
         wide = np.sqrt(wide**2 + np.sum(followed**2, axis=1))
+    agreement = None if logs is None else _agreement(steps, solution, tuned, *logs)
+    if agreement is not None:
+        wide[:tuned] *= agreement.birge
     half95 = float(stdtrit(max(independent - len(sd), 3.0), 0.975)) * wide  # Student's t
     low, high = np.array([one.bounds for one in parameters]).T
     ends = np.stack([solution.values - half95, solution.values + half95])
@@ -770,7 +848,10 @@ def fit_simulator(
         ),
         correlation,
         steps.inflation(solution),
-        None if logs is None else _agreement(steps, solution, tuned, *logs),
+        np.ones(len(which))
+        if _is_good(solution, target)
+        else _predictable(steps, solution, which)[1],
+        agreement,
     )
     posterior = Posterior(
         tuple((half95[:tuned] / 1.96).tolist()),  # as wide as the intervals
@@ -827,6 +908,75 @@ def _is_good(solution: Solution, target: ComparedColumns) -> bool:
     )
 
 
+def _predictable(
+    steps: RolloutLeastSquares, solution: Solution, which: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Return how much each value says of a model, 0 to 1; `which` is each value's log, all (M,).
+
+    Where an error of the start has grown more than tenfold, so has any error of the model, and a
+    value counts by so much less: by the growth of all numbers of the start, and of the worst.
+    """
+    starts = [number for number, one in enumerate(steps.parameters) if one.prior_sd is not None]
+    spread = steps.target.per_value([max(one.spread, 1e-12) for one in steps.target.columns])
+    moved = (solution.slopes * ranges_of(steps.parameters))[:, starts].T / spread
+    counts = np.ones((2, len(which)))
+    for log in np.unique(which):
+        here = which == log
+        own = steps.target.columns_at(here)
+        for count, grown in zip(counts, growth(own, moved[:, here]), strict=True):
+            most = np.maximum.accumulate(grown)[_bins_of(own)]
+            count[here] = (GROWTH / np.maximum(most, GROWTH)) ** 2
+    return counts[0], counts[1]
+
+
+def _where_predictable(
+    steps: RolloutLeastSquares, solution: Solution, which: NDArray[np.intp]
+) -> tuple[RolloutLeastSquares, Solution]:
+    """Fit a chaotic motion by what a start predicts, if that is met then."""
+    weighed, found = steps, solution
+    for _ in range(_LOOKS):
+        counts, _ = _predictable(weighed, found, which)
+        if counts.min() == 1:
+            break
+        weighed = replace(weighed, counts=counts)
+        found = weighed.solve(solution.path[0])
+    return (weighed, found) if _is_good(found, steps.target) else (steps, solution)
+
+
+def _loosened(
+    steps: RolloutLeastSquares, solution: Solution
+) -> tuple[RolloutLeastSquares, Solution]:
+    """Fit again with starts as unsure as what is left of the columns that tell them.
+
+    A start is read with the noise of its column, of which smooth errors, such as a tracker's, are
+    no part.
+    """
+    target = steps.target
+    noise = np.array([max(one.noise, 1e-12) for one in target.columns])
+    left = steps.left(solution.residuals)
+    wider = np.clip(left / noise, 1.0, _LOOSEST) ** 2
+    told = np.array(
+        [
+            np.bincount(target.which, column**2, minlength=len(left)) / left**2
+            for column in (solution.slopes * np.sqrt(solution.chosen)[:, None]).T
+        ]
+    )
+    total = told.sum(axis=1)
+    factors = np.sqrt((told @ wider) / np.where(total > 0, total, 1.0))
+    if not any(
+        factor > _LOOSENED and one.prior_sd is not None
+        for factor, one in zip(factors, steps.parameters, strict=True)
+    ):
+        return steps, solution
+    parameters = tuple(
+        one if one.prior_sd is None else replace(one, prior_sd=one.prior_sd * max(factor, 1.0))
+        for factor, one in zip(factors.tolist(), steps.parameters, strict=True)
+    )
+    steps = replace(steps, parameters=parameters)
+    again = steps.solve(solution.values)
+    return steps, replace(again, path=(*solution.path, *again.path[1:]))
+
+
 def _from_elsewhere(steps: RolloutLeastSquares, solution: Solution, tuned: int) -> Solution:
     """Restart from the best of many quasi-random (Halton) starts; keep the best solution."""
     from scipy.stats import qmc
@@ -874,12 +1024,14 @@ def _agreement(
 ) -> Agreement:
     """Refit to each log alone, and to all others, by two Gauss-Newton steps each."""
 
-    def refitted(chosen: NDArray[np.bool_]) -> tuple[Array, Array]:
-        part, found = replace(steps, fitted=chosen), solution
+    def refitted(fitted: NDArray[np.bool_]) -> tuple[Array, Array]:
+        part, found = replace(steps, fitted=fitted), solution
         for _ in range(2):
             values, residuals = part.one_step(found)
             noise = part.left(residuals)
-            found = replace(found, values=values, residuals=residuals, noise=noise, chosen=chosen)
+            found = replace(
+                found, values=values, residuals=residuals, noise=noise, chosen=part.chosen
+            )
         cov, _ = covariance(found, steps.target, steps.parameters)
         return found.values[:tuned], np.diag(cov)[:tuned]
 

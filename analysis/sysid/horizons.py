@@ -13,19 +13,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tunenet_logs.analysis.sysid.fit import (
+    BINS,
+    GROWTH,
     ComparedColumns,
     HeldOut,
     RolloutLeastSquares,
     Run,
+    growth,
     ranges_of,
 )
 from tunenet_logs.episode import Array
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.recorders.simulators.base import Parameter
 
-_GROWTH = 10.0  # of an error of the start, at which a prediction ends
 _MOST = 10  # horizons in one part of a log
-_BINS = 200  # of time, over which growth is told
 _MIN_SAMPLES = 10  # of all columns together, for each number of a state
 
 
@@ -169,11 +170,7 @@ def _with(run: Run, tuned: Array) -> Run:
 
 
 def _horizon_s(begun: Begun, tuned: Array) -> float:
-    """Return when a small error of the start has grown tenfold; the end if it never does.
-
-    It is measured against the largest that it is until the motion has changed by its own size: an
-    error of a speed is none of a place at first.
-    """
+    """Return when a small error of the start has grown tenfold; the end if it never does."""
     target, run = begun.target, _with(begun.run, tuned)
     if not begun.starts:
         return target.end_s
@@ -182,29 +179,9 @@ def _horizon_s(begun: Begun, tuned: Array) -> float:
     seen = run(np.concatenate([start[None], start + moved]))
     spread = target.per_value([max(one.spread, 1e-12) for one in target.columns])
     apart = np.where(np.isfinite(seen[1:] - seen[0]), seen[1:] - seen[0], 0.0) / spread
-    place = np.minimum((target.seconds / max(target.end_s, 1e-9) * _BINS).astype(int), _BINS - 1)
-    counts = np.maximum(np.bincount(place, minlength=_BINS), 1)
-    error = np.array(
-        [np.sqrt(np.bincount(place, row**2, minlength=_BINS) / counts) for row in apart]
-    )
-    first = max(int(_BINS * _changes_s(target) / max(target.end_s, 1e-9)), 1)
-    begins = np.maximum(error[:, :first].max(axis=1), 1e-12)
-    grown = (error / begins[:, None]).max(axis=0) > _GROWTH
-    return target.end_s * (float(np.argmax(grown)) / _BINS if grown.any() else 1.0)
-
-
-def _changes_s(target: ComparedColumns) -> float:
-    """Return the time in which the fastest column changes by its standard deviation, rms."""
-    found = [target.end_s / _MOST]
-    for one in target.columns:
-        spread = float(np.std(one.values))
-        if spread < 3.0 * one.noise:
-            continue
-        for lag in range(1, max(len(one.values) // _MOST, 2)):
-            if np.mean((one.values[lag:] - one.values[:-lag]) ** 2) >= spread**2:
-                found.append(float(np.median(one.seconds[lag:] - one.seconds[:-lag])))
-                break
-    return min(found)
+    _, worst = growth(target, apart)
+    grown = worst > GROWTH
+    return target.end_s * (float(np.argmax(grown)) / BINS if grown.any() else 1.0)
 
 
 def _straight(target: ComparedColumns) -> Array:

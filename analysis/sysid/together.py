@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tunenet_logs.analysis.sysid.fit import ComparedColumns, later_part
+from tunenet_logs.analysis.sysid.fit import Column, ComparedColumns, later_part
 from tunenet_logs.analysis.sysid.horizons import Begun, Unseen
 from tunenet_logs.analysis.sysid.source import Connected, Rollouts, seen_at, tuned_first
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
@@ -84,15 +84,18 @@ class Together:
     @property
     def target(self) -> ComparedColumns:
         """Columns of all logs."""
-        columns = [
-            replace(
-                one,
-                signal=f"{name}: {one.signal}",
-                seconds=one.seconds + (offset_ns + part.target.start_ns - self.start_ns) * 1e-9,
-            )
-            for name, part, offset_ns in zip(self.names, self.parts, self.offsets_ns, strict=True)
-            for one in part.target.columns
-        ]
+        # Whole nanoseconds, as a rollout's: a last sample that is an ulp beyond it would be lost.
+        columns: list[Column] = []
+        for name, part, offset_ns in zip(self.names, self.parts, self.offsets_ns, strict=True):
+            late_ns = offset_ns + part.target.start_ns - self.start_ns
+            columns += [
+                replace(
+                    one,
+                    signal=f"{name}: {one.signal}",
+                    seconds=1e-9 * (np.round(one.seconds * 1e9) + late_ns),
+                )
+                for one in part.target.columns
+            ]
         return ComparedColumns(self.start_ns, tuple(columns))
 
     def rollout(self, values: Mapping[str, float]) -> Episode:

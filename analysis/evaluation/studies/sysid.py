@@ -348,6 +348,9 @@ def rows_of(trial: MachineTrial) -> list[Row]:
     log = machine.log(trial.seed, trial.noise)
     if trial.section == "tuned":
         return _tuned(trial, log)
+    if trial.section == "together":
+        other = machine.again(trial.seed, trial.noise).episode
+        return [*_tuned(trial, log, "one"), *_tuned(trial, log, "both", (other,))]
     if trial.section == "network":
         return _first_steps(trial, log)
     if trial.section == "toolbox":
@@ -392,10 +395,13 @@ def _rows(
     return [{**log, **one} for one in found] or [log]
 
 
-def _tuned(trial: MachineTrial, log: ModelLog, what: str = "") -> list[Row]:
+def _tuned(
+    trial: MachineTrial, log: ModelLog, what: str = "", others: tuple[Episode, ...] = ()
+) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         began_s = time.process_time()
-        tuning = tune_episode(log.episode, TuneOptions(source=_source(log, folder)))
+        options = TuneOptions(source=_source(log, folder), together=others)
+        tuning = tune_episode(log.episode, options)
         seconds = time.process_time() - began_s
     found: list[Row] = []
     if tuning.trace is not None and tuning.trace.fit is not None:
@@ -404,7 +410,8 @@ def _tuned(trial: MachineTrial, log: ModelLog, what: str = "") -> list[Row]:
         for one, value, ends in zip(
             tuning.parameters, tuning.trace.estimate, tuning.trace.fit.interval95, strict=True
         ):
-            truth = np.nan if what else log.truth[one.name]  # another machine's model has none
+            is_wrong = trial.section == "wrong"  # another machine's model has none
+            truth = np.nan if is_wrong else log.truth[one.name]
             found.append(
                 {
                     **_estimate(one.name, truth, value, *ends),
@@ -475,11 +482,13 @@ def trials(section: str, seeds: Sequence[int], logs: int) -> list[MachineTrial]:
     Of logs with another noise than the usual one there are a fifth, for the network a twentieth.
     """
     found: list[MachineTrial] = []
-    for machine in range(len(MACHINES)):
+    # Two runs of a pendulum alone: each of the others' takes minutes.
+    for machine in range(1 if section == "together" else len(MACHINES)):
         for seed in seeds:
             own = range(seed * 1_000_000, seed * 1_000_000 + logs)
-            for noise in NOISES if section == "tuned" else (1.0,):
+            for noise in NOISES if section in ("tuned", "together") else (1.0,):
                 share = 20 if section == "network" else 1 if noise == 1.0 else 5
+                share = 1 if section == "together" else share
                 chosen = own[: max(1, logs // share)]
                 found += [MachineTrial(section, machine, one, noise) for one in chosen]
     return found
@@ -489,6 +498,7 @@ def trials(section: str, seeds: Sequence[int], logs: int) -> list[MachineTrial]:
 
 _HEADS = {
     "tuned": "Tuned by the default method: logs of machines that SciPy integrates.",
+    "together": "Two swings of one pendulum in one fit, beside the first alone.",
     "toolbox": "The same logs by mujoco.sysid, the state at the start tuned along.",
     "untold": "One more parameter is tuned, which such a log cannot tell.",
     "wrong": "Models of other machines: none should come out ok.",
@@ -508,6 +518,8 @@ def sysid_table(section: str, rows: Sequence[Row], head: str) -> str:
             counts = [str(mine.count(name)) for name in ("ok", "suspect", "rejected")]
             lines.append([machine, what, str(len(mine)), *counts])
         return table(lines, f"{section}: {head}")
+    if section == "together":
+        return table(_together(rows), f"{section}: {head}")
     heads = {
         "untold": ["machine", "parameter", "logs", "cannot be told", "said so"],
         "network": ["machine", "parameter", "logs", "median", "of the range"],
@@ -538,3 +550,31 @@ def sysid_table(section: str, rows: Sequence[Row], head: str) -> str:
             cells.append(f"{figure([row['seconds'] for row in own], np.median):.1f}")
             lines.append([machine, f"{noise:g}", address, *cells])
     return table(lines, f"{section}: {head}")
+
+
+def _together(rows: Sequence[Row]) -> list[list[str]]:
+    """Return lines of a table: for each machine, noise and parameter, both runs beside the one."""
+    lines = [["machine", "noise", "parameter", "pairs", "width", "one covers", "both cover", "ok"]]
+    groups: dict[tuple[str, float, str], dict[str, list[Row]]] = {}
+    for row in rows:
+        if "address" in row:
+            key = row["machine"], row["noise"], row["address"]
+            groups.setdefault(key, {"one": [], "both": []})[row["what"]].append(row)
+    for (machine, noise, address), own in groups.items():
+        widths = {
+            what: {row["seed"]: row["high"] - row["low"] for row in some}
+            for what, some in own.items()
+        }
+        ratios = [
+            width / widths["one"][seed]
+            for seed, width in widths["both"].items()
+            if seed in widths["one"]
+        ]
+        covered = [
+            f"{100 * np.mean([row['low'] <= row['truth'] <= row['high'] for row in some]):.1f} %"
+            for some in own.values()
+        ]
+        oks = sum(row["verdict"] == "ok" for row in own["both"])
+        cells = [str(len(ratios)), f"{np.median(ratios):.2f}", *covered, str(oks)]
+        lines.append([machine, f"{noise:g}", address, *cells])
+    return lines

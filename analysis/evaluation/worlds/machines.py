@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from math import cos, sin
 from pathlib import Path
 from typing import Any
@@ -182,8 +183,8 @@ class Pendulum:
         )
 
 
-def pendulum_log(seed: int, noise: float = 1.0) -> ModelLog:
-    """Simulate a swing of 8 s, of which three parameters are tuned."""
+def pendulum_log(seed: int, noise: float = 1.0, run: int = 0) -> ModelLog:
+    """Simulate a swing of 8 s, of which three parameters are tuned; each run has its own start."""
     rng = np.random.default_rng((seed, 1))
     pendulum = Pendulum(
         damping=float(np.exp(rng.uniform(np.log(0.02), np.log(0.1)))),
@@ -191,6 +192,10 @@ def pendulum_log(seed: int, noise: float = 1.0) -> ModelLog:
         armature=float(rng.uniform(0.01, 0.05)),
         angle_rad=float(rng.uniform(1.2, 2.4) * rng.choice([-1.0, 1.0])),
     )
+    if run:
+        rng = np.random.default_rng((seed, 1, run))
+        angle_rad = float(rng.uniform(1.2, 2.4) * rng.choice([-1.0, 1.0]))
+        pendulum = replace(pendulum, angle_rad=angle_rad)
     seconds = sample_times(_LENGTH_S, STATES_HZ, rng)
     motion = pendulum.at(seconds)
     sensed = {
@@ -398,19 +403,24 @@ def arm_model(
     )
 
 
-def arm_log(seed: int, noise: float = 1.0) -> ModelLog:
-    """Simulate a motion of 8 s, of which payload and delay are tuned."""
-    return _arm_log(np.random.default_rng((seed, 2)), noise, elbow_is_held=False)
+def arm_log(seed: int, noise: float = 1.0, run: int = 0) -> ModelLog:
+    """Simulate a motion of 8 s, of which payload and delay are tuned; each run has its own."""
+    return _arm_log((seed, 2), noise, elbow_is_held=False, run=run)
 
 
 def arm_with_a_brake(seed: int, noise: float = 1.0) -> ModelLog:
     """Simulate the same with the elbow held, so that its damping is unidentifiable."""
-    return _arm_log(np.random.default_rng((seed, 3)), noise, elbow_is_held=True)
+    return _arm_log((seed, 3), noise, elbow_is_held=True)
 
 
-def _arm_log(rng: np.random.Generator, noise: float, *, elbow_is_held: bool) -> ModelLog:
+def _arm_log(
+    seeds: tuple[int, int], noise: float, *, elbow_is_held: bool, run: int = 0
+) -> ModelLog:
+    rng = np.random.default_rng(seeds)
     payload_kg = float(np.exp(rng.uniform(np.log(0.2), np.log(2.0))))
     arm = PlanarArm(payload_kg, float(rng.uniform(0.005, 0.06)), elbow_is_held)
+    if run:
+        rng = np.random.default_rng((*seeds, run))
     # Commands are sums of sines of some 0.6 rad about some posture, eased in from rest.
     shape = (_TERMS, 2)
     middle = np.array([rng.uniform(0.3, 1.2), rng.uniform(-0.3, 1.0)])
@@ -495,10 +505,15 @@ BLOCK = """\
 """
 
 
-def block_log(seed: int, noise: float = 1.0) -> ModelLog:
-    """Simulate a slide, without turning, and a second of rest, of which friction is tuned."""
+def block_log(seed: int, noise: float = 1.0, run: int = 0) -> ModelLog:
+    """Simulate a slide, without turning, and a second of rest, of which friction is tuned.
+
+    Each run has its own start and speed.
+    """
     rng = np.random.default_rng((seed, 4))
     friction = float(np.exp(rng.uniform(np.log(0.1), np.log(0.7))))
+    if run:
+        rng = np.random.default_rng((seed, 4, run))
     along, aside = rng.uniform(0.5, 2.5), rng.uniform(-0.1, 0.1)
     start_m, velocity_m_s = rng.uniform(-0.5, 0.5, 2), along * np.array([1.0, aside])
     stops_s = float(np.linalg.norm(velocity_m_s)) / (friction * GRAVITY_M_S2)
@@ -564,6 +579,7 @@ class Machine:
 
     name: str  # in words
     log: Callable[[int, float], ModelLog]  # of a seed and so many times the usual noise
+    again: Callable[[int, float], ModelLog]  # another run of the very machine
     # the same with one more parameter, which is unidentifiable
     unidentifiable: Callable[[int, float], ModelLog]
     # texts of models that are of another machine than a log's, by what is wrong
@@ -572,9 +588,15 @@ class Machine:
 
 # `log` and `unidentifiable` give the same for the same seed and noise, whatever else is drawn.
 MACHINES = (
-    Machine("pendulum", pendulum_log, pendulum_of_unknown_mass, wrong_pendulums),
-    Machine("arm", arm_log, arm_with_a_brake, wrong_arms),
-    Machine("block", block_log, block_of_unknown_mass, wrong_blocks),
+    Machine(
+        "pendulum",
+        pendulum_log,
+        partial(pendulum_log, run=1),
+        pendulum_of_unknown_mass,
+        wrong_pendulums,
+    ),
+    Machine("arm", arm_log, partial(arm_log, run=1), arm_with_a_brake, wrong_arms),
+    Machine("block", block_log, partial(block_log, run=1), block_of_unknown_mass, wrong_blocks),
 )
 
 

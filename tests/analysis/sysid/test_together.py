@@ -15,8 +15,10 @@ from tests.analysis.review.stored import reviewed
 from tests.analysis.sysid.pendulums import DAMPING, pendulum_episode
 from tests.analysis.sysid.test_own_simulator import MODELS, TRUTH, Spring
 from tests.conftest import Command
+from tunenet_logs.analysis.evaluation.worlds.machines import MACHINES
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.sysid.together import names_of
+from tunenet_logs.analysis.sysid.source import ModelSource
+from tunenet_logs.analysis.sysid.together import names_of, together
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.errors import UsageError
 
@@ -72,6 +74,16 @@ def test_each_counts_by_what_it_tells():
         error, width = off(both)[name]
         assert abs(error) < width
         assert width < 1.2 * off(alone)[name][1]
+
+
+def test_the_last_sample_of_a_run_is_compared(tmp_path: Path):
+    """An ulp beyond the rollout's, this one was lost, and its whole run counted for little."""
+    log, again = MACHINES[0].log(506, 1.0), MACHINES[0].again(506, 1.0)
+    path = tmp_path / "pendulum.xml"
+    path.write_text(log.model)
+    parts = [ModelSource(path, log.tune).connect(one.episode) for one in (log, again)]
+    both = together(("a", "b"), parts)
+    assert np.isfinite(both.target.seen_in(both.simulator.rollout({}))).all()
 
 
 def check(tuning: Tuning, name: str) -> tuple[bool, str]:
