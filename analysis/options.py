@@ -208,7 +208,9 @@ class TuneOptions(Hints, ReadOptions):
     parameters: tuple[str, ...] = _of_model(
         "what of it, with the range to look in (default: a fifth to five times the model's "
         "value): joint/NAME.damping, .frictionloss, .armature, .stiffness, .springref; "
-        "body/NAME.mass, .ipos[i], .inertia[i]; geom/NAME.friction[i], .solref[i], .solimp[i]; "
+        "body/NAME.mass, .ipos[i], .inertia[i], .spread[i], .inertial; geom/NAME.friction[i], "
+        ".solref[i], .solimp[i]; of sensors: joint/NAME.effort_gain, .effort_offset, "
+        "site/NAME.force_offset[i], .torque_offset[i]; "
         "actuator/NAME.kp, .kv, .gear[i]; tendon/NAME.damping, .frictionloss, .stiffness; "
         "option.gravity[i], .density, .viscosity; delay/commands; or a YAML file with ADDRESS: "
         "[LOW, HIGH] lines. May be given several times",

@@ -11,6 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from textwrap import TextWrapper, fill, wrap
 from typing import Any, ClassVar
@@ -227,32 +228,71 @@ def _width(columns: Columns) -> int:
 # ---- Phrases: numbers, intervals and second estimates.
 
 _MAX_WRITTEN_OUT = 1e9  # no quantity is larger, but a stranger's file may say so
+_SMALL, _NOTHING = 1e-2, 1e-9  # below the first, four decimals may be no digits; below both, none
 
 
-def number_words(value: float) -> str:
-    """Format a number with four decimals, and no minus before a zero."""
-    return f"{value:.4g}" if abs(value) > _MAX_WRITTEN_OUT else f"{round(value, 4) + 0.0:.4f}"
+def number_words(value: float, ends: Interval | None = None) -> str:
+    """Format a number with the digits of its 95 % interval: four decimals, or more if it is small.
+
+    Of a small one without an interval, three digits. There is no minus before a zero.
+    """
+    size = abs(value)
+    if not size <= _MAX_WRITTEN_OUT:
+        return f"{value:.4g}"
+    if ends is not None:
+        return _written(value, _decimals(*ends), max(map(abs, ends)))
+    is_small = _NOTHING < size < _SMALL
+    return _written(value, max(2 - math.floor(math.log10(size)), 4) if is_small else 4, size)
 
 
 def interval_words(ends: Interval | None, none: str = "-") -> str:
     """Format an interval with enough decimals: equal ends would read as certainty.
 
-    The last digits differ by two or more. If six decimals do not show that, the ends are rounded
-    away from each other.
+    The last digits differ by two or more, of small numbers by ten. If six decimals do not show
+    that, the ends are rounded away from each other; small numbers are written in powers of ten.
     """
     if ends is None:
         return none
     low, high = ends
-    if max(abs(low), abs(high)) > _MAX_WRITTEN_OUT:
+    size = max(abs(low), abs(high))
+    if size > _MAX_WRITTEN_OUT:
         return f"{low:.4g} to {high:.4g}"
-    decimals = 4
-    while decimals < 6 and round(high * 10**decimals) - round(low * 10**decimals) < 2:
-        decimals += 1
+    decimals = _decimals(low, high)
     unit = 10**decimals
     first, last = round(low * unit), round(high * unit)
     if last - first < 2:
         first, last = math.floor(low * unit), math.ceil(high * unit)
-    return f"{first / unit:.{decimals}f} to {last / unit:.{decimals}f}"
+    return " to ".join(_written(end / unit, decimals, size) for end in (first, last))
+
+
+def half_words(ends: Interval) -> str:
+    """Format half an interval, as ± shows it, with the decimals of its value; never as nothing."""
+    half, decimals = (ends[1] - ends[0]) / 2, _decimals(*ends)
+    if half > _MAX_WRITTEN_OUT:
+        return f"{half:.4g}"
+    while decimals < 6 and half > 0 and round(half * 10**decimals) == 0:
+        decimals += 1
+    return _written(half, decimals, max(map(abs, ends)))
+
+
+def _decimals(low: float, high: float) -> int:
+    """Return how many decimals show that the ends of an interval differ: from 4 on."""
+    is_small = max(abs(low), abs(high)) < _SMALL
+    least, most, decimals = (10, 12, 4) if is_small else (2, 6, 4)
+    while decimals < most and round(high * 10**decimals) - round(low * 10**decimals) < least:
+        decimals += 1
+    return decimals if high > low else min(decimals, 6)
+
+
+def _written(value: float, decimals: int, size: float) -> str:
+    """Write a number with so many decimals, or in powers of ten where `size` is small for that."""
+    is_scientific = decimals > 6 and _NOTHING < size < _SMALL
+    value = round(value, decimals if is_scientific else min(decimals, 6)) + 0.0
+    if not is_scientific or not value:
+        return f"{value:.{min(decimals, 6)}f}"
+    digits = max(decimals + math.floor(math.log10(abs(value))), 0)
+    mantissa, _, power = f"{value:.{digits}e}".partition("e")
+    return f"{mantissa}e{int(power)}"
 
 
 def quantity(name: str, unit: str) -> str:
@@ -267,12 +307,12 @@ def interval_mark(verdict: str) -> str:
 
 def _numbers(known: Estimate) -> str:
     """Format one or several numbers, each with half its interval if it has one."""
-    values = np.atleast_1d(known.value)
-    halves = [""] * len(values)
-    if known.interval95 is not None:
-        widths = np.ptp(np.reshape(known.interval95, (-1, 2)), axis=1)
-        halves = [f" ± {width / 2:.4f}" for width in widths]
-    return ", ".join(f"{value:.4f}{half}" for value, half in zip(values, halves, strict=True))
+    parts = [
+        number_words(one.value, one.interval95)
+        + ("" if one.interval95 is None else f" ± {half_words(one.interval95)}")
+        for one in known.components
+    ]
+    return ", ".join(parts)
 
 
 def equivalent_words(record: Record) -> str:
@@ -310,7 +350,7 @@ def sound_words(record: Record) -> str:
 def value_words(value: ComparedValue) -> str:
     """Format a value with its interval, and a verdict that is not ok."""
     ends = interval_words(value.interval95, "no interval")
-    return f"{number_words(value.value)} ({ends}){interval_mark(value.verdict)}"
+    return f"{number_words(value.value, value.interval95)} ({ends}){interval_mark(value.verdict)}"
 
 
 # ---- Tunings for the terminal: one table.
@@ -378,7 +418,7 @@ def _tunings(parameter: str, rows: Sequence[Row]) -> TextTable:
         cells = {
             "log": one_line(row.log),
             "verdict": record.verdict,
-            parameter: "-" if first is None else f"{first.value:.4f}",
+            parameter: "-" if first is None else number_words(first.value, first.interval95),
             "95 % interval": ends if ends == "-" else ends + interval_mark(record.verdict),
         }
         for name, unit in scalars:
@@ -390,7 +430,7 @@ def _tunings(parameter: str, rows: Sequence[Row]) -> TextTable:
         cells["fits"] = "-" if fit is None or first is None else f"{fit.excess_percent:.2f} %"
         cells["rollouts"] = str(record.rollouts)
         cells["time"] = f"{record.seconds.get('total', 0.0):.2f} s"
-        cells["truth"] = "-" if row.truth is None else f"{row.truth:.4f}"
+        cells["truth"] = "-" if row.truth is None else number_words(row.truth)
         below = [
             f"{quantity(known.name, known.unit)} {_numbers(known)}"
             for known in record.estimates[1:]
@@ -646,13 +686,29 @@ def parameters_table(record: Record, names: Mapping[str, str] | None = None) -> 
         for number, one in enumerate(known.components):
             ends = interval_words(one.interval95, "no reliable interval")
             axis = one.name.removeprefix(known.name).replace("_", " ")  # of a vector
-            rows.append((quantity(name + axis, known.unit), number_words(one.value), ends))
+            value = number_words(one.value, one.interval95)
+            rows.append((quantity(name + axis, known.unit), value, ends))
             notes.append((text,) if text and not number else ())
     for name in record.motion.unknown[:_MAX_ROWS] if rows else ():
         rows.append((name, "not known", "-"))
         notes.append(("needs units that the log does not state",))
     heads = ("parameter", "value", f"95 % interval{interval_mark(record.verdict)}")
     return TextTable(heads, rows, notes, title="parameters")
+
+
+_TOGETHER = 0.5  # correlation from which on two values are named
+
+
+def correlations_table(record: Record, names: Mapping[str, str] | None = None) -> TextTable:
+    """Build rows of two values of which the log tells a combination better than each."""
+    known = record.posterior
+    said = [(names or {}).get(one.name, one.name) for one in record.estimates]
+    pairs = [] if known is None else list(combinations(range(len(said)), 2))
+    found = [(known.correlation[one][other], one, other) for one, other in pairs if known]
+    found = [pair for pair in found if abs(pair[0]) >= _TOGETHER]
+    found.sort(key=lambda pair: -abs(pair[0]))
+    rows = [(said[one], said[other], f"{share:+.3f}") for share, one, other in found[:_MAX_ROWS]]
+    return TextTable(("value", "with", "correlation"), rows, title="correlations")
 
 
 def remarks(record: Record) -> Items:
@@ -745,6 +801,8 @@ def page_values(record: Record) -> list[Block]:
     """Make the blocks of a page above its figures."""
     shown = parameters_table(record)
     blocks: list[Block] = [Heading("Parameters"), shown] if shown.rows else []
+    together = correlations_table(record)
+    blocks += [Heading("Values that hang together"), together] if together.rows else []
     return [*blocks, remarks(record)]
 
 
@@ -834,6 +892,8 @@ def result_words(record: Record, preset: str, occasion: str | None) -> str:
     blocks += [Items(meanings)] if meanings and record.physical else []
     notes = remarks(record)
     blocks += [notes] if notes.lines else []
+    together = correlations_table(record, said_names(known.name for known in record.estimates))
+    blocks += [together] if together.rows else []
     bounces = bounces_table(record)
     if len(bounces.rows) > 1:
         blocks.append(TextTable(bounces.heads, bounces.rows[:_MAX_BOUNCES]))

@@ -374,6 +374,11 @@ class Parser(argparse.ArgumentParser):
         """Parse all; a word too many is told with the option before it, which takes only one."""
         words = list(sys.argv[1:] if args is None else args)
         found, extra = super().parse_known_args(words, namespace)
+        # One that may be missing is missing to argparse where options stand before it.
+        late = [one for one in self._get_positional_actions() if one.nargs == "?"]
+        is_one = len(extra) == 1 and not extra[0].startswith("-")
+        if is_one and late and getattr(found, late[-1].dest) is None:
+            setattr(found, late[-1].dest, self._get_value(late[-1], extra.pop()))
         if extra:
             at = words.index(extra[0]) if extra[0] in words else 0
             before = words[at - 2] if at > 1 else ""

@@ -51,7 +51,7 @@ from tunenet_logs.analysis.checks import Verdict
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Cluster, on_cluster, streamed
-from tunenet_logs.analysis.presentation import Row, row_of, table
+from tunenet_logs.analysis.presentation import Row, number_words, row_of, table
 from tunenet_logs.analysis.record import (
     MAX_RECORD_BYTES,
     Record,
@@ -167,7 +167,7 @@ def _of_file(
     was = None
     if report and before and _ORDER.index(before.verdict) < _ORDER.index(record.verdict):
         values = [part for known in before.estimates for part in known.components][:1]
-        said = "".join(f", {part.value:.4f}" for part in values)
+        said = "".join(f", {number_words(part.value, part.interval95)}" for part in values)
         was = f"{report}: was {before.verdict}{said}; is {record.verdict} now"
     return Result(row, entry, review, trouble, report, was)
 

@@ -633,6 +633,11 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
     seen = fit.samples.positions
     seen = view.straightened(seen, seconds) if view.moves or view.lens.distortion else seen
     values = np.concatenate([camera, first])
+    # It begins nearly at the end: a step that goes on for this far is no camera's.
+    fall_s, span = float(np.exp(camera[1])), float(camera[3])
+    reach = np.array([fall_s / 2, 0.5, span, 0.9 * span, 2.0])
+    lowest = np.concatenate([camera - reach, np.full(len(first), 0.01)])
+    highest = np.concatenate([camera + reach, np.full(len(first), 1.0)])
     free = [0.0, 0.0, 0.0, 0.0, PERSPECTIVE_SD**-2]
     if fit.samples.in_metres:  # this camera is known, and as far as metres are metres its scale
         metre_sd = METRE_SD if fit.samples.scale_known else ANY_SCALE_SD
@@ -641,7 +646,7 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
     prior = np.concatenate([free, np.full(len(first), 0.15**-2)])
     target = np.concatenate([[0.0, 0.0, 0.0, camera[3], 0.0], first])
     covariance = np.eye(len(values))
-    for _ in range(6):  # it begins nearly at the end, at the fit
+    for _ in range(6):
         (impact_s, log_fall, contact, span, perspective), each = values[:5].tolist(), values[5:]
         fall_s, grow = np.exp(log_fall), np.exp(perspective)
         times = (seconds - impact_s) / fall_s
@@ -665,8 +670,7 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
         gradient = -jacobian.T @ (weights * residuals) / scale**2 - prior * (values - target)
         covariance = np.linalg.pinv(normal)
         step = covariance @ gradient
-        values = values + step
-        values[5:] = np.clip(values[5:], 0.01, 1.0)
+        values = np.clip(values + step, lowest, highest)
         if np.all(np.abs(step) <= 1e-5 * np.sqrt(np.diag(covariance))):  # standard errors
             break
     return values[5:], np.sqrt(np.diag(covariance))[5:]

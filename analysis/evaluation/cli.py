@@ -10,6 +10,7 @@ from pathlib import Path
 
 from tunenet_logs.analysis.evaluation.study import (
     METHODS,
+    OWN,
     STUDIES,
     Order,
     Part,
@@ -18,8 +19,8 @@ from tunenet_logs.analysis.evaluation.study import (
     figure_place,
     write_figures,
 )
-from tunenet_logs.analysis.options import jobs_option, json_option
-from tunenet_logs.console import Parser, is_stdout, run, whole
+from tunenet_logs.analysis.options import TuneOptions, jobs_option, json_option, options_of
+from tunenet_logs.console import Parser, add_options, given, is_stdout, options_in, run, whole
 from tunenet_logs.errors import UsageError, pip_install
 from tunenet_logs.files import real_path
 from tunenet_logs.terminal import Progress, one_line
@@ -49,6 +50,7 @@ _EXAMPLES = """\
   tunenet-eval engines --seeds 1                     (a few minutes)
   tunenet-eval sysid --targets 10 --sections tuned   (ten logs of each machine)
   tunenet-eval sysid                                 (hours on two cores)
+  tunenet-eval own run.mcap --model robot.xml --tune joint/elbow.damping=0:5
   tunenet-eval sound --targets 20 --sections alone,negatives   (a few minutes)
   tunenet-eval sound                                 (over an hour on two cores)"""
 
@@ -67,6 +69,13 @@ def build_parser() -> Parser:
     )
     add = parser.add_argument
     add("experiment", choices=list(STUDIES), help="which experiment")
+    add(
+        "log",
+        nargs="?",
+        type=Path,
+        metavar="LOG",
+        help="own only: the log that drives the model (default: a motion made for it)",
+    )
     add(
         "--seeds",
         type=whole(1, 1000),
@@ -126,6 +135,8 @@ def build_parser() -> Parser:
         metavar="DIR",
         help="keep the first seed's logs, tunings and outcomes in this folder (1 GB)",
     )
+    own = parser.add_argument_group("own only, as of tunenet-tune")
+    add_options(TuneOptions, lambda _: own, OWN)
     files = parser.add_argument_group("files (replaced if they exist)")
     json_option(files, "every figure, and the curves,")
     files.add_argument("--csv", type=Path, metavar="FILE", help="one row for each figure")
@@ -194,6 +205,7 @@ def _eval(arguments: argparse.Namespace) -> int:
         pairs=arguments.pairs,
         epochs=arguments.epochs,
         campaign=arguments.campaign,
+        own=_own(arguments) if name == "own" else None,
         drawn=tuple(form for form in ("png", "rrd") if form in places),
     )
     module, _, function = study.module.partition(".")
@@ -213,19 +225,33 @@ def _eval(arguments: argparse.Namespace) -> int:
     return 0
 
 
-# Options that some studies have.
-_OF_SOME = ("sections", "methods", "rollouts", "png", "rrd", "campaign")
+def _own(arguments: argparse.Namespace) -> tuple[TuneOptions, Path | None]:
+    """Return the user's model with what is tuned of it, and the log; UsageError without one."""
+    if arguments.model is None:
+        raise UsageError("own is about a model of one's own; name it with --model")
+    options, log = options_of(given(arguments, TuneOptions)), arguments.log
+    assert options.source is not None
+    _ = options.source.parameters  # what is wrong with them is told before any work
+    return options, log
+
+
+# Options that some studies have, by their names in Python, as a command spells them.
+_OF_SOME = {
+    **{name: f"--{name}" for name in ("sections", "methods", "rollouts", "png", "rrd", "campaign")},
+    **{name: one.flag_of(name) for name, one in options_in(TuneOptions).items() if name in OWN},
+    "log": "a LOG",
+}
 
 
 def _checked(arguments: argparse.Namespace) -> dict[str, OutputPlace]:
     """Refuse at once what would fail after the work; return where the files go, by their forms."""
     what = arguments.experiment
-    for option in _OF_SOME:
+    for option, flag in _OF_SOME.items():
         having = [name for name, study in STUDIES.items() if _has(study, option)]
         if getattr(arguments, option) is not None and what not in having:
             *most, last = having
             raise UsageError(
-                f"--{option} is for {', '.join(most)}{' and ' if most else ''}{last}, not {what}; "
+                f"{flag} is for {', '.join(most)}{' and ' if most else ''}{last}, not {what}; "
                 "leave it out"
             )
     folder = arguments.campaign

@@ -23,6 +23,7 @@ from tunenet_logs.terminal import Progress
 if TYPE_CHECKING:
     import numpy as np
 
+    from tunenet_logs.analysis.options import TuneOptions
     from tunenet_logs.analysis.parallel import Piece
     from tunenet_logs.writing.owned_path import OutputPlace
 
@@ -46,6 +47,8 @@ class Study:
     options: tuple[str, ...] = ()  # its own
 
 
+# Options of `own`: fields of `TuneOptions`, and the log.
+OWN = ("log", "model", "parameters", "mapping", "start_s", "end_s", "columns", "fps")
 _FILMED = ("set-A", "set-B", "set-C", "slope", "drag", "bad", "clips", "home", "transformed")
 STUDIES = {
     "payload": Study(
@@ -155,6 +158,15 @@ STUDIES = {
         seeds=1,
         targets=200,
     ),
+    "own": Study(
+        "own",
+        "your own model, simulated along your log with its noise and tuned anew: errors,\n"
+        "intervals, what the log cannot tell, and how many seconds of it are needed; needs\n"
+        "no extra",
+        seeds=1,
+        targets=20,
+        options=OWN,
+    ),
     "sound": Study(
         "audio",
         "bounces by ear: sounds that are made by code, alone and beside films, with speech,\n"
@@ -194,6 +206,7 @@ class Order:
     pairs: int | None = None  # of training, in place of the presets', to try things out
     epochs: int | None = None  # likewise
     campaign: Path | None = None  # of the bounce shot: folder for the first seed's logs
+    own: tuple[TuneOptions, Path | None] | None = None  # the user's model, and its log
     drawn: tuple[str, ...] = ()  # of drop: "png" and "rrd", where they are to be written
 
     @property

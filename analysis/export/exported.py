@@ -19,6 +19,7 @@ import numpy as np
 
 from tunenet_logs import __version__
 from tunenet_logs.analysis.checks import Verdict
+from tunenet_logs.analysis.presentation import interval_words, number_words
 from tunenet_logs.analysis.record import Curves, Equivalents, Estimate, Record
 from tunenet_logs.episode import Array
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
@@ -411,9 +412,9 @@ def estimate_words(name: str, estimate: Estimate) -> str:
     """Format a quantity with its interval: `restitution 0.8001 (95 %: 0.7997 to 0.8005)`."""
     unit = "" if estimate.unit == "1" else f" {short_name(estimate.unit)}"
     parts = estimate.components
-    value = ", ".join(f"{part.value:.4f}" for part in parts)
+    value = ", ".join(number_words(part.value, part.interval95) for part in parts)
     pairs = [part.interval95 for part in parts if part.interval95 is not None]
-    said = "95 %: " + "; ".join(f"{low:.4f} to {high:.4f}" for low, high in pairs)
+    said = "95 %: " + "; ".join(map(interval_words, pairs))
     return f"{name} {value}{unit} ({said if pairs else 'no reliable interval'})"
 
 

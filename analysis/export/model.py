@@ -290,7 +290,9 @@ def ranges(item: TunedSimulator) -> dict[str, tuple[float, float]] | None:
     if item.posterior is None:
         return None
     found: dict[str, tuple[float, float]] = {}
-    for one, limits in zip(item.estimates, _limits(item, item.posterior), strict=True):
+    names, values = _named(item)
+    limits_of = _limits(names, values, item.posterior)
+    for one, limits in zip(item.estimates, limits_of, strict=True):
         ends = one.components[0].interval95
         if ends is None:
             return None
@@ -299,35 +301,47 @@ def ranges(item: TunedSimulator) -> dict[str, tuple[float, float]] | None:
     return found
 
 
-def _limits(item: TunedSimulator, posterior: Posterior) -> Array:
+def _named(item: TunedSimulator) -> tuple[list[str], Array]:
+    """Return names and values, shape (P,)."""
+    values = np.array([one.value for one in item.estimates], np.float64)
+    return [one.name for one in item.estimates], values
+
+
+def _limits(names: Sequence[str], values: Array, posterior: Posterior) -> Array:
     """Return the ends between which values are drawn, shape (P, 2)."""
     found: list[tuple[float, float]] = []
-    for number, one in enumerate(item.estimates):
+    for number, (name, value) in enumerate(zip(names, values.tolist(), strict=True)):
         low, high = posterior.bounds[number]
-        if one.name in posterior.unidentifiable:
-            assert isinstance(one.value, float)
-            low = max(low, min(posterior.searched[number][0], one.value))
-            high = min(high, max(posterior.searched[number][1], one.value))
+        if name in posterior.unidentifiable:
+            low = max(low, min(posterior.searched[number][0], value))
+            high = min(high, max(posterior.searched[number][1], value))
         found.append((low, high))
     return np.array(found)
 
 
 def joint_sample(item: TunedSimulator, count: int = COUNT) -> Array:
-    """Draw rows of all values from their posterior, shape (count, P); UsageError without one.
+    """Draw rows of all values from their posterior, shape (count, P); UsageError without one."""
+    posterior = item.posterior
+    if posterior is None:
+        raise UsageError(f"the values have no intervals ({item.doubt}), so no sample of them")
+    return posterior_sample(*_named(item), posterior, count)
+
+
+def posterior_sample(
+    names: Sequence[str], values: Array, posterior: Posterior, count: int, seed: int = _SEED
+) -> Array:
+    """Draw rows of values from their posterior about them, shape (count, P).
 
     A Gaussian with the intervals' widths and the fit's correlations, cut where physics ends and,
     of what the log cannot tell, where the search did.
     """
-    posterior = item.posterior
-    if posterior is None:
-        raise UsageError(f"the values have no intervals ({item.doubt}), so no sample of them")
     sd = np.array(posterior.sd)
     correlation = np.array(posterior.correlation)
     sizes, axes = np.linalg.eigh((correlation + correlation.T) / 2)
     factor = sd[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0))
-    middle = np.array([one.value for one in item.estimates], np.float64)
-    low, high = _limits(item, posterior).T
-    rng = np.random.default_rng(_SEED)
+    middle = np.asarray(values, np.float64)
+    low, high = _limits(names, middle, posterior).T
+    rng = np.random.default_rng(seed)
     found = np.zeros((0, len(middle)))
     for _ in range(100):
         drawn = middle + rng.standard_normal((count, len(middle))) @ factor.T

@@ -35,7 +35,7 @@ from tunenet_logs.analysis.compare import (
     moved,
     restitution_value,
 )
-from tunenet_logs.analysis.presentation import quantity
+from tunenet_logs.analysis.presentation import number_words, quantity
 from tunenet_logs.analysis.record import Record
 from tunenet_logs.analysis.review.drawing import ReviewedFilm, ReviewedTorque
 from tunenet_logs.episode import Array, Picture, median_step
@@ -268,8 +268,9 @@ def iterations_drawing(record: Record) -> Drawing | None:
     axes.set_xlabel("iteration k")
     axes.set_ylabel(drawable(name.replace("_", " ") + unit))
     last = " The diamond is the fit to all samples, the result." if record.is_fitted else ""
-    caption = f"From the first guess, {values[0]:.4f}, to {values[-1]:.4f}.{last}"
-    alt = f"{name} by iteration, from {values[0]:.4f} to {values[-1]:.4f}."
+    ends = number_words(values[0]), number_words(values[-1])
+    caption = f"From the first guess, {ends[0]}, to {ends[1]}.{last}"
+    alt = f"{name} by iteration, from {ends[0]} to {ends[1]}."
     return Drawing("iterations", "Iterations", caption, alt, figure)
 
 
@@ -345,7 +346,7 @@ def values_drawing(comparison: Comparison, group: ComparedGroup) -> Drawing | No
         _named_rows(axes, names)
         axes.set_title(drawable(quantity(one.name, one.unit)), pad=3)
         values = [value.value for value in one.values]
-        ends = f"from {min(values):.4f} to {max(values):.4f}"
+        ends = f"from {number_words(min(values))} to {number_words(max(values))}"
         words.append(f"{one.name} {ends} in {len(values)} logs")
     caption = "Values with 95 % intervals; hollow: suspect, or without an interval."
     if len(group.labels) > len(labels):

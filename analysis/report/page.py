@@ -456,7 +456,8 @@ def _overview(tunings: Sequence[tuple[str, Record]], detailed: int) -> list[Bloc
             (part,) = known.components
             unit = "" if known.unit == "1" else f" {known.unit}"
             interval = interval_words(part.interval95, "no interval")
-            words.append(f"{known.name} {number_words(part.value)}{unit} ({interval})")
+            value = number_words(part.value, part.interval95)
+            words.append(f"{known.name} {value}{unit} ({interval})")
         said = "; ".join(words) or record.reason or "no values"
         rows.append((str(number), label, record.verdict, said))
     heads = ("", "log", "verdict", "values with 95 % intervals")

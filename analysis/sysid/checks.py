@@ -25,10 +25,11 @@ from tunenet_logs.analysis.sysid.fit import (
     ComparedColumns,
     HeldOut,
     SimulatorFit,
-    noise_of,
+    noises_of,
 )
 from tunenet_logs.analysis.sysid.source import SimulatorDetection
 from tunenet_logs.episode import Array, Episode
+from tunenet_logs.recorders.simulators.base import Parameter
 from tunenet_logs.recorders.simulators.model.rollout import STOPPED
 from tunenet_logs.terminal import listed
 
@@ -45,6 +46,7 @@ _MOTIONS: Mapping[str, str] = {
     "mass": "lift it and swing it, with the torques or commands recorded",
     "ipos": "turn it about several axes",
     "inertia": "turn it fast about several axes",
+    "spread": "turn it fast about several axes",
     "friction": "let it slide further, or push it along",
     "solref": "let it hit the ground from several heights",
     "solimp": "let it hit the ground from several heights",
@@ -55,7 +57,21 @@ _MOTIONS: Mapping[str, str] = {
     "density": "move it fast",
     "viscosity": "move it at several speeds",
     "delay": "command steps and fast changes",
+    "effort_gain": "move it with and without a load that is known",
+    "effort_offset": "move it to both sides, with the commands recorded",
+    "force_offset": "turn it about several axes",
+    "torque_offset": "turn it about several axes",
 }
+
+
+def partners_of(found: SimulatorFit, parameter: Parameter) -> list[str]:
+    """Return with which others alone the log tells an unidentifiable parameter."""
+    row = found.correlation[found.parameters.index(parameter)]
+    return [
+        one.name
+        for number, one in enumerate(found.parameters[: found.tuned])
+        if one is not parameter and abs(row[number]) > 0.9 and one in found.unidentifiable
+    ]
 
 
 def excitation(name: str, partners: Sequence[str]) -> str:
@@ -180,18 +196,13 @@ def match_check(target: ComparedColumns, residuals: Array, counts: Array | None 
     `counts` tells how much each value counts, 0 to 1, shape (N,).
     """
     spec, left = SYSID["simulation matches"], target.rms(residuals, counts)
-    spreads, noises, good = [], [], []
-    for number, column in enumerate(target.columns):
+    spreads, noises, good = [], noises_of(target, residuals), []
+    for column in target.columns:
         most = max(one.spread for one in target.columns if one.unit == column.unit)
         spreads.append(max(column.spread, 1e-2 * most, 1e-12))  # by the largest of its unit
-        # A servo's efforts jump with each command: by themselves they look like noise, of a size at
-        # which any simulator would match. So of a column that jumps it is that of its residual.
-        own = residuals[target.which == number]
-        noise = noise_of(own[np.isfinite(own)]) if column.is_jumpy else column.noise
-        noises.append(min(noise, column.noise))
         # A jump met a little early or late leaves some.
         good.append(0.1 if column.is_jumpy else spec.limit.value / 100)
-    limits = np.maximum(1.3 * np.array(noises) / np.array(spreads), np.array(good))
+    limits = np.maximum(1.3 * noises / np.array(spreads), np.array(good))
     place = int(np.argmax(left / np.array(spreads) / limits))
     share = left[place] / spreads[place]
     where = "" if counts is None or np.all(counts > 0.5) else " (less counts where it is chaotic)"
@@ -284,12 +295,7 @@ def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
     # Parameters that the motion does not tell, with those that each is confounded with.
     hidden, words, advice = found.unidentifiable, list[str](), ""
     for parameter in hidden:
-        row = found.correlation[found.parameters.index(parameter)]
-        partners = [
-            one.name
-            for number, one in enumerate(tuned)
-            if one is not parameter and abs(row[number]) > 0.9 and one in hidden
-        ]
+        partners = partners_of(found, parameter)
         along = f" (only together with {listed(partners, _FEW)})" if partners else ""
         words.append(f"{parameter.name}{along}")
         advice = advice or excitation(parameter.name, partners)

@@ -198,6 +198,20 @@ def noise_of(values: Array) -> float:
     return max(noise, resolution)
 
 
+def noises_of(target: ComparedColumns, residuals: Array) -> Array:
+    """Return the noise of each column, shape (C,), by what a simulator leaves of it, shape (M,).
+
+    A servo's efforts jump with each command: by themselves they look like noise, of a size at which
+    any simulator would match. So of a column that jumps it is that of its residual.
+    """
+    found: list[float] = []
+    for number, column in enumerate(target.columns):
+        own = residuals[target.which == number]
+        noise = noise_of(own[np.isfinite(own)]) if column.is_jumpy else column.noise
+        found.append(min(noise, column.noise))
+    return np.array(found)
+
+
 # ---- How a small error of the start grows
 
 GROWTH = 10.0  # of an error of the start, from which on little is predicted

@@ -20,7 +20,7 @@ import rerun.blueprint as rrb
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.presentation import markdown_table, quantity, said_names
 from tunenet_logs.analysis.review import drawing as draw
-from tunenet_logs.analysis.sysid.fit import HeldOut, SimulatorFit, later_part
+from tunenet_logs.analysis.sysid.fit import HeldOut, SimulatorFit, later_part, noises_of
 from tunenet_logs.analysis.sysid.source import SimulatorDetection
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulators.base import Parameter
@@ -75,7 +75,7 @@ class ShownColumn:
 
     name: str  # short, without unit
     unit: str  # of its values
-    noise: float  # standard deviation
+    noise: float  # standard deviation, by what the result leaves of it where it jumps
     seconds: Array  # since the log's first sample, shape (T,)
     observed: Array  # shape (T,)
     simulated: Array  # of each iteration, shape (T, K); NaN where it shows nothing
@@ -157,7 +157,11 @@ def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
         short_name(name if counts[name] == 1 else one.label, 34)
         for name, one in zip(short, target.columns, strict=True)
     ]
-    columns = [_shown(number, names[number], found, seen, fit, held) for number in order.tolist()]
+    noises = noises_of(target, seen[:, -1] - target.values)
+    columns = [
+        _shown(number, names[number], found, seen, fit, held, float(noises[number]))
+        for number in order.tolist()
+    ]
     # A few are drawn over the log's time; all of them can be scrubbed.
     lines = np.unique(np.linspace(0, count - 1, min(count, 8)).round().astype(int))
     interval = tuning.interval95
@@ -180,6 +184,7 @@ def _shown(
     seen: Array,
     fit: SimulatorFit | None,
     held: HeldOut | None,
+    noise: float,
 ) -> ShownColumn:
     target = found.connected.target
     column = target.columns[number]
@@ -192,7 +197,7 @@ def _shown(
     return ShownColumn(
         name,
         column.unit,
-        column.noise,
+        noise,
         column.seconds[::every] + found.offset_s,
         column.values[::every],
         seen[kept],

@@ -22,7 +22,14 @@ from tests.analysis.records import drop_record, payload_record
 from tests.conftest import BIN, ROOT, Command, record
 from tunenet_logs.analysis.estimators.base import ExtraEstimate
 from tunenet_logs.analysis.experiment import record_of
-from tunenet_logs.analysis.presentation import interval_words, result_words, row_of, table
+from tunenet_logs.analysis.presentation import (
+    half_words,
+    interval_words,
+    number_words,
+    result_words,
+    row_of,
+    table,
+)
 from tunenet_logs.analysis.record import record_from, to_json
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.recorders.simulators.known import engine
@@ -172,11 +179,35 @@ def shown(*tunings: tn.Tuning) -> str:
         (0.7000012, 0.7000391, "0.70000 to 0.70004"),
         (0.3500001, 0.3500034, "0.350000 to 0.350003"),
         (0.34999996, 0.35000003, "0.349999 to 0.350001"),
-        (0.0, 0.00002, "0.00000 to 0.00002"),
+        (0.0, 0.00002, "0.000000 to 0.000020"),
+        (1.69e-4, 1.99e-4, "0.000169 to 0.000199"),
+        (-1e-5, 8e-4, "-0.00001 to 0.00080"),
+        (2.4e-7, 2.6e-7, "2.40e-7 to 2.60e-7"),
+        (-1e-17, 4e-17, "0.000000 to 0.000000"),
     ],
 )
 def test_no_interval_reads_as_certainty(low: float, high: float, words: str):
     assert interval_words((low, high)) == words
+
+
+@pytest.mark.parametrize(
+    ("value", "ends", "words"),
+    [
+        (0.74, (0.7388, 0.7418), "0.7400 ± 0.0015"),
+        (1.84e-4, (1.69e-4, 1.99e-4), "0.000184 ± 0.000015"),
+        (-1e-4, (-0.0047, 0.0045), "-0.0001 ± 0.0046"),
+        (1e-5, (0.9e-5, 1.1e-5), "1.00e-5 ± 1.0e-6"),
+        (0.7098, (0.709791, 0.709809), "0.70980 ± 0.00001"),
+        (1.84e-4, None, "0.000184"),
+        (1e-5, None, "1.00e-5"),
+        (-1e-17, None, "0.0000"),
+    ],
+)
+def test_a_value_has_the_digits_of_its_interval(
+    value: float, ends: tuple[float, float] | None, words: str
+):
+    said = number_words(value, ends) + ("" if ends is None else f" ± {half_words(ends)}")
+    assert said == words
 
 
 @pytest.fixture(scope="module")

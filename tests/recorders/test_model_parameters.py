@@ -250,7 +250,9 @@ IDLE = re.compile(r"gear\[[1-5]\]|slider\.inertia|arm\.inertia\[[02]\]|arm\.ipos
 def every_address() -> list[str]:
     found: list[str] = []
     for kind, elements in ADDRESSES.items():
-        for (name, field), names in zip(FIELDS[kind].items(), elements, strict=True):
+        # Of sensors and of a mass's spread: tests/analysis/sysid/test_sensors, test_inertial.
+        fields = [one for one in FIELDS[kind].items() if one[1].array and one[0] != "spread"]
+        for (name, field), names in zip(fields, elements, strict=True):
             for element in names:
                 owner = kind if element is None else f"{kind}/{element}"
                 ends = [f"[{index}]" for index in range(field.size)] if field.size > 1 else [""]

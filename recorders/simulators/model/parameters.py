@@ -26,6 +26,7 @@ from tunenet_logs.terminal import listed, short_name
 
 Limits = tuple[float, float]
 
+_MIN_SPREAD_M = 1e-5  # of a mass along an axis, so that an inertia is one of a body with a volume
 _MIN_VALUE = 1e-9  # where the sign selects a law: 0 belongs to neither
 
 
@@ -46,6 +47,12 @@ class ModelField:
 
 _NO_BOUND = -math.inf
 
+# Without an array: what a sensor adds to what it measures, or multiplies it by.
+_WRENCH = {
+    "force_offset": ModelField("", "N", _NO_BOUND, 3, usual=(-20.0, 20.0)),
+    "torque_offset": ModelField("", "N·m", _NO_BOUND, 3, usual=(-2.0, 2.0)),
+}
+
 FIELDS: Mapping[str, Mapping[str, ModelField]] = {
     "joint": {
         "damping": ModelField("dof_damping", "N·m·s/rad", by_dof=True),
@@ -53,12 +60,19 @@ FIELDS: Mapping[str, Mapping[str, ModelField]] = {
         "armature": ModelField("dof_armature", "kg·m²", by_dof=True),
         "stiffness": ModelField("jnt_stiffness", "N·m/rad"),
         "springref": ModelField("qpos_spring", "rad", _NO_BOUND),
+        "effort_gain": ModelField("", "1", usual=(0.5, 2.0)),
+        "effort_offset": ModelField("", "N·m", _NO_BOUND, usual=(-2.0, 2.0)),
     },
     "body": {
         "mass": ModelField("body_mass", "kg", 1e-6),
         "ipos": ModelField("body_ipos", "m", _NO_BOUND, 3),
         "inertia": ModelField("body_inertia", "kg·m²", 1e-9, 3),
+        "spread": ModelField(
+            "body_inertia", "m", _NO_BOUND, 6, within=dict.fromkeys(range(3), (_MIN_SPREAD_M, 1e3))
+        ),
+        **_WRENCH,
     },
+    "site": _WRENCH,
     "geom": {
         "friction": ModelField("geom_friction", "1", 0.0, 3, usual=(0.0, 1.5)),
         "solref": ModelField(
@@ -94,7 +108,8 @@ FIELDS: Mapping[str, Mapping[str, ModelField]] = {
 }
 
 # All arrays that a parameter may change in a compiled model.
-TUNED_ARRAYS = sorted({one.array for fields in FIELDS.values() for one in fields.values()})
+TUNED_ARRAYS = sorted({one.array for fields in FIELDS.values() for one in fields.values()} - {""})
+TUNED_ARRAYS = sorted({*TUNED_ARRAYS, "body_iquat"})  # with the inertia of a spread
 
 # Units of a joint that slides, in place of those of one that turns.
 _SLIDING_UNITS = {"N·m·s/rad": "N·s/m", "N·m": "N", "kg·m²": "kg", "N·m/rad": "N/m", "rad": "m"}
@@ -129,10 +144,17 @@ class ModelParameter:
     owner: str  # kind and name of the element, e.g. "joint/elbow".
     given: float = 0.0  # its value in the model
 
+    @property
+    def is_of_sensor(self) -> bool:
+        """Whether it is of a sensor, and nothing of the model."""
+        kind = self.owner.partition("/")[0]
+        return kind in FIELDS and self.field in FIELDS[kind] and not FIELDS[kind][self.field].array
+
 
 def model_parameters(model: Any, wanted: Iterable[str]) -> tuple[ModelParameter, ...]:
     """Parse texts such as `joint/elbow.damping=0:5` into a model's parameters."""
-    found = [_parsed_parameter(model, text) for text in wanted]
+    texts = [part for text in wanted for part in _of_group(model, text)]
+    found = [_parsed_parameter(model, text) for text in texts]
     names = [one.parameter.name for one in found]
     for name in names:
         if names.count(name) > 1:
@@ -152,6 +174,37 @@ def model_parameters(model: Any, wanted: Iterable[str]) -> tuple[ModelParameter,
                     "choose a range of its sign, or give that one a range of this sign",
                 )
     return tuple(sorted(found, key=lambda one: one.field == "inertia"))  # masses scale inertias
+
+
+INERTIAL = ".inertial"  # of a body: mass, centre and spread, of which any values are physical
+
+
+def _of_group(model: Any, text: str) -> list[str]:
+    """Return the parameters of `body/NAME.inertial`, with ranges; any other text as it is."""
+    address, sign, _ = text.strip().partition("=")
+    owner = address.strip().removesuffix(INERTIAL)
+    kind, _, name = owner.partition("/")
+    if not address.strip().endswith(INERTIAL) or kind != "body":
+        return [text]
+    if sign:
+        raise UsageError(
+            f"--tune {short_name(text)}: a group has no range",
+            f"leave it out, or name its parts, such as {owner}.mass=LOW:HIGH",
+        )
+    number = _number(model, "body", name, text)
+    factor, centre = _spread(model, number), model.body_ipos[number]
+    reach = float(np.abs(factor).max()) + float(np.linalg.norm(centre))
+    ranges: dict[str, tuple[float, float]] = {}
+    for axis in range(3):
+        own = float(centre[axis])
+        ranges[f"ipos[{axis}]"] = own - 2 * reach, own + 2 * reach
+    for index, at in _FACTOR:
+        own = float(factor[at])
+        is_along = at[0] == at[1]
+        low, high = (own / 5, 5 * own) if is_along else (own - reach, own + reach)
+        ranges[f"spread[{index}]"] = max(low, _MIN_SPREAD_M) if is_along else low, high
+    parts = (f"{owner}.{part}={low!r}:{high!r}" for part, (low, high) in ranges.items())
+    return [f"{owner}.mass", *parts]
 
 
 def _parsed_parameter(model: Any, text: str) -> ModelParameter:
@@ -245,7 +298,7 @@ def movable(spec: Any, tuned: Iterable[ModelParameter]) -> Any:
     """
     copy = spec.copy()
     for one in tuned:
-        if one.field == "ipos":
+        if one.field in ("ipos", "spread"):
             copy.body(one.owner.partition("/")[2]).simple = False
     return copy
 
@@ -282,6 +335,10 @@ def _access(
     """Make a getter and a setter of a scalar in a compiled model."""
     if kind == "actuator" and field_name in ("kp", "kv"):
         return _servo_access(model, field_name, number)
+    if field_name == "spread":
+        return _spread_access(number, index)
+    if not field.array:  # of a sensor
+        return lambda _: float(field_name.endswith("_gain")), lambda _model, _value: None
     rows = slice(number, number + 1)
     if field.by_dof:
         rows = slice(*np.flatnonzero(model.dof_jntid == number)[[0, -1]] + [0, 1])
@@ -304,6 +361,42 @@ def _access(
             view(one)[:] = value
 
     return lambda one: float(view(one)[0]), put
+
+
+# Places of `spread` in a factor: its diagonal, then what is below.
+_FACTOR = tuple(enumerate([(0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1)]))
+
+
+def _spread(model: Any, number: int) -> Array:
+    """Return how a body's mass is spread about its centre: a Cholesky factor, shape (3, 3) [m].
+
+    Its square is the mean of x xᵀ over the mass, in the body's frame. With mass and centre it is
+    the pseudo-inertia (Wensing et al. 2018): any factor is one of a body that can be.
+    """
+    turn = np.empty(9)
+    mujoco().mju_quat2Mat(turn, model.body_iquat[number])
+    axes, inertia = turn.reshape(3, 3), model.body_inertia[number]
+    squares = (inertia.sum() / 2 - inertia) / max(float(model.body_mass[number]), 1e-12)
+    squares = np.maximum(squares, _MIN_SPREAD_M**2)
+    factor = np.linalg.cholesky(axes @ np.diag(squares) @ axes.T)
+    return np.asarray(factor, np.float64)
+
+
+def _spread_access(number: int, index: int) -> _Access:
+    """Access a number of a body's spread, in its inertia and the axes of that."""
+    place = _FACTOR[index][1]
+
+    def put(one: Any, value: float) -> None:
+        factor = _spread(one, number)
+        factor[place] = value
+        square = factor @ factor.T
+        whole = one.body_mass[number] * (np.trace(square) * np.eye(3) - square)
+        sizes, axes = np.linalg.eigh(whole)
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        one.body_inertia[number] = sizes
+        mujoco().mju_mat2Quat(one.body_iquat[number], np.ascontiguousarray(axes).ravel())
+
+    return lambda one: float(_spread(one, number)[place]), put
 
 
 def _servo_access(model: Any, field_name: str, number: int) -> _Access:

@@ -132,7 +132,7 @@ def seen_in_world(model: Any, sensed: Sequence[SensedSignal]) -> list[SensedSign
 
 # ---- Scene: shapes and poses of the bodies, for drawing
 
-_BONE = 0.12  # least radius of a stand-in for a body without a shape, over its joint's distance
+_BONE = 0.12  # least radius of a mass without a shape, over its distance from the joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,27 +235,36 @@ class ModelScene:
         return Shape("box", body, position + rotation @ middle, rotation, half.copy())
 
     def _masses(self, body: int) -> list[Shape]:
-        """Make stand-ins of a body without a shape: a rod from its joint, its mass as a ball."""
+        """Make stand-ins of a body without a shape: its mass as a ball, and bones from its joint.
+
+        A bone ends at the mass, and at each body that hangs on it.
+        """
         model = self.model
         middle = model.body_ipos[body].copy()
         joint = model.body_jntadr[body]
         begin = model.jnt_pos[joint].copy() if joint >= 0 else np.zeros(3)
-        away = middle - begin
-        length = float(np.linalg.norm(away))
+        children = [one for one in range(1, model.nbody) if model.body_parentid[one] == body]
+        ends = [middle, *(model.body_pos[one].copy() for one in children)]
+        length = float(np.linalg.norm(middle - begin))
         mass, inertia = max(float(model.body_mass[body]), 1e-9), model.body_inertia[body]
         radius = max(float(np.sqrt(2.5 * inertia.mean() / mass)), 1e-4)
         if length > 0:
             radius = float(np.clip(radius, _BONE * length, length / 2))
         ball = Shape("ellipsoid", body, middle, np.eye(3), np.full(3, radius))
-        if length < radius:
-            return [ball]
-        thin = _BONE * length / 4
-        # Turned so that z is the unit direction.
-        quaternion = np.empty(4)
+        longest = max(float(np.linalg.norm(end - begin)) for end in ends)
+        bones = [_bone(body, begin, end, _BONE * longest / 4) for end in ends]
+        return [ball, *(one for one in bones if 2 * one.size_m[2] >= radius)]
+
+
+def _bone(body: int, begin: Array, end: Array, radius: float) -> Shape:
+    """Make a rod between two places in a body's frame."""
+    away = end - begin
+    length = float(np.linalg.norm(away))
+    quaternion = np.array([1.0, 0.0, 0.0, 0.0])
+    if length > 0:  # turned so that z is the unit direction
         mujoco().mju_quatZ2Vec(quaternion, away / length)
-        turn, half = _rotation(quaternion), np.array([thin, thin, length / 2])
-        rod = Shape("capsule", body, begin + away / 2, turn, half)
-        return [ball, rod]
+    half = np.array([radius, radius, length / 2])
+    return Shape("capsule", body, begin + away / 2, _rotation(quaternion), half)
 
 
 def _rotation(quaternion: Array) -> Array:
@@ -461,17 +470,36 @@ class ModelSimulator:
         kinds = mujoco().mjtIntegrator
         return self._model.opt.integrator in [getattr(kinds, one) for one in late]
 
+    def _measured(self, row: Array) -> dict[Sensor, tuple[float, float]]:
+        """Return gain and offset of each sensor that has tuned ones."""
+        found: dict[Sensor, tuple[float, float]] = {}
+        for one, value in zip(self.tuned, row.tolist(), strict=False):
+            if not one.is_of_sensor:
+                continue
+            kind, _, name = one.owner.partition("/")
+            quantity, _, part = one.field.partition("_")
+            axis = int(one.parameter.name[-2]) if one.parameter.name.endswith("]") else 0
+            of: Kind = "force" if quantity == "force" else "torque"
+            of = "jointactuatorfrc" if quantity == "effort" else of
+            sensor = Sensor(of, name, axis, is_at_body=kind == "body")
+            gain, offset = found.get(sensor, (1.0, 0.0))
+            found[sensor] = (value, offset) if part == "gain" else (gain, value)
+        return found
+
     def _episode(self, seen: Array, row: Array, stopped: str) -> Episode:
         """Resample sensor values, shape (steps, S), as the log's signals."""
         step_s = self._step_s
         at_s = step_s * np.arange(self._steps)  # sensors see the state that a step begins with
+        measured = self._measured(row)
         signals: dict[str, Signal] = {}
         for sensed in self.sensed:
             wanted_s = (sensed.signal.stamps_ns - self.initial.stamp_ns) * 1e-9
             values = np.empty((len(wanted_s), len(sensed.columns)))
             for place, sensor in enumerate(sensed.sensors):
                 number = self._distinct.index(sensor.whole)
+                gain, offset = measured.get(sensor._replace(sign=1.0), (1.0, 0.0))
                 track = sensor.sign * seen[:, self._model.sensor_adr[number] + sensor.axis]
+                track = gain * track + offset
                 late_s = step_s / 2 if sensor.kind == "jointvel" and self._is_late else 0.0
                 values[:, place] = np.interp(wanted_s, at_s - late_s, track, right=np.nan)
             name, stamps_ns, unit = sensed.signal.name, sensed.signal.stamps_ns, sensed.signal.unit

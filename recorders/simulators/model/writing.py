@@ -167,7 +167,7 @@ def _write_inertial(place: _Place, element: Element, inertial: Element | None) -
     """Write mass, centre and inertia of an MJCF's body; return where a remark belongs."""
     if element.added:  # for another of its numbers
         return element
-    turn = place.given.body_iquat[place.number]
+    turn = place.numbers("body_iquat")
     values = {"pos": place.numbers("body_ipos"), "mass": place.numbers("body_mass")}
     is_turned = not np.array_equal(turn, [1, 0, 0, 0])
     if inertial is None and is_turned:
@@ -175,6 +175,10 @@ def _write_inertial(place: _Place, element: Element, inertial: Element | None) -
     elif inertial is not None and "fullinertia" in inertial.values:
         place.notes.append("the inertia by its axes, which MuJoCo takes it to")
         inertial.set("fullinertia", None)
+        values["quat"] = turn
+    elif inertial is not None and not np.array_equal(turn, place.given.body_iquat[place.number]):
+        for name in ("euler", "axisangle", "xyaxes", "zaxis"):
+            inertial.set(name, None)
         values["quat"] = turn
     values["diaginertia"] = place.numbers("body_inertia")
     if inertial is None:
@@ -265,7 +269,7 @@ def _write_link(place: _Place, inertial: Element, share: float) -> None:
     if origin is not None and any(map(value_of, origin.values.get("rpy", "").split())):
         raise _Unwritable("its inertia stands in a turned frame (rpy), where it is six numbers")
     turn = np.empty(9)
-    mujoco().mju_quat2Mat(turn, place.given.body_iquat[place.number])
+    mujoco().mju_quat2Mat(turn, place.numbers("body_iquat"))
     axes = turn.reshape(3, 3)
     whole = axes @ np.diag(inertia) @ axes.T
     for name, (row, column) in zip(
@@ -493,6 +497,8 @@ def write_model(
     for one in wanted:
         if one.parameter.name == DELAY:
             left[DELAY] = "a model has no delay: wait so long before each command"
+        elif one.is_of_sensor:
+            left[one.parameter.name] = "it is the sensor's: a model measures without it"
         else:
             good.append(one)
     attempt = _Attempt(files, spec, process, values, remarks)

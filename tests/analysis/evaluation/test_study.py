@@ -13,7 +13,7 @@ import cv2
 import pytest
 
 from tests.analysis.review.stored import verified
-from tests.conftest import Command
+from tests.conftest import ROOT, Command
 from tests.engines import needs_pybullet
 from tunenet_logs.analysis.evaluation.cli import build_parser, main
 from tunenet_logs.analysis.evaluation.study import (
@@ -61,6 +61,11 @@ SMALL = {
         ("Payloads [kg]", "lines from the same guess", "Hard, 1 cm"),
     ),
     "sysid": ("--targets 1 --sections tuned,wrong", ("none should come out ok",)),
+    "own": (
+        f"--model {ROOT}/sample_logs/models/pendulum.xml --tune joint/hinge.damping=0:.2 "
+        f"--targets 1 {ROOT}/sample_logs/models/pendulum.mcap",
+        ("to a tenth after", "verdicts:"),
+    ),
     "sound": ("--targets 1 --sections uneven", ("the law's restitution at the second impact",)),
 }
 
