@@ -211,7 +211,8 @@ class TuneOptions(Hints, ReadOptions):
         "body/NAME.mass, .ipos[i], .inertia[i], .spread[i], .inertial; geom/NAME.friction[i], "
         ".solref[i], .solimp[i]; of sensors: joint/NAME.effort_gain, .effort_offset, "
         "site/NAME.force_offset[i], .torque_offset[i]; "
-        "actuator/NAME.kp, .kv, .gear[i]; tendon/NAME.damping, .frictionloss, .stiffness; "
+        "actuator/NAME.kp, .kv, .gear[i], .forcerange; actuators: all that its servos have, as far "
+        "as the log tells it; tendon/NAME.damping, .frictionloss, .stiffness; "
         "option.gravity[i], .density, .viscosity; delay/commands; or a YAML file with ADDRESS: "
         "[LOW, HIGH] lines. May be given several times",
         (),
@@ -313,7 +314,7 @@ class TuneOptions(Hints, ReadOptions):
     def reading(self) -> ReadOptions:
         """How to read the log and its tares."""
         constants = () if self.effort_constants else self.torque_constants
-        return ReadOptions(self.columns, self.fps, self.length_unit, constants)
+        return ReadOptions(self.columns, self.fps, self.length_unit, self.angle_unit, constants)
 
     @property
     def effort_constants(self) -> tuple[float, ...]:

@@ -171,6 +171,15 @@ KINDS: dict[str, Callable[[Path], object]] = {
     "packed.mat": lambda path: library_writers.ARRAYS["b.mat"](path, {"run": ARRAYS}),
     "a.jsonl": lambda path: path.write_text(
         "".join(json.dumps({"t": t, "ball": xyz}) + "\n" for t, xyz in ROWS)),
+    "servo.json": lambda path: path.write_text(json.dumps({"kp": 400, "entries": [
+        {"timestamp": t, "position": xyz[2], "goal_position": xyz[0], "torque_enable": True}
+        for t, xyz in ROWS]})),
+    "motions.json": lambda path: path.write_text(json.dumps({"action_hz": 50, "data": [
+        {"type": "a", "action": [xyz[0] for _, xyz in ROWS], "q": [xyz[2] for _, xyz in ROWS]}]})),
+    "state_motor.csv": lambda path: path.write_text("type,timestamp,positions,torques\n" + "".join(
+        f'STATE_MOTOR,{t * 1e6},"{list(xyz)}","{list(xyz)}"\n' for t, xyz in ROWS)),
+    "ticks.csv": lambda path: path.write_text("t_ms,present_position_1,goal_position_1,on\n"
+        + "".join(f"{at * 20},{2000 + at * 7 % 900},{2000 + at * 7},1\n" for at in range(200))),
     "plain.h5": library_writers.plain_hdf5,
     "demos.hdf5": library_writers.robomimic,
     "a.feather": library_writers.feather,

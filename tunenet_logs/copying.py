@@ -23,6 +23,7 @@ from tunenet_logs.audio import sound_blocks, sound_notes_of, why_not_kept
 from tunenet_logs.episode import (
     MAX_LEFT_OUT,
     SHARE_NOTE,
+    UNSTATED,
     Episode,
     EpisodeInfo,
     LeftOut,
@@ -43,6 +44,7 @@ from tunenet_logs.formats.base import (
     one_by_one,
     ros_name,
 )
+from tunenet_logs.formats.fields import UNUSED
 from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.registry import file_bytes, open_log
 from tunenet_logs.messages import INFO_RECORD, RECOVERY_RECORD, SHOWS, compressed, is_info
@@ -51,6 +53,7 @@ from tunenet_logs.reader import (
     notes_of,
     notes_of_channels,
     read_episode,
+    topic_of,
     without_commands,
 )
 from tunenet_logs.signals import ORIENTATION
@@ -120,7 +123,7 @@ def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> 
 JOINT_PARTS = ("position", "velocity", "effort")  # how the signals of a topic of joints end
 # Messages of one topic in order: stamp, topic, and what writes it.
 TopicMessages = Iterator[tuple[int, str, Callable[[EpisodeWriter], None]]]
-_DRIVES = "a command or a force, which stays in the log that is imported: tune a model from that"
+_FORCES = "a force, which stays in the log that is imported: tune a model from that"
 _AT_ONCE = 10_000  # samples of joints that are prepared at a time
 _NAME_ANOTHER = "name a log that does, or say which column is which with --columns"
 
@@ -160,7 +163,7 @@ def _check_output(path: Path, output: Path) -> None:
 
 def _imported(path: Path, output: Path, *, overwrite: bool, options: ReadOptions) -> Imported:
     everything = read_episode(path, options, most_numbers=np.inf)
-    episode = without_commands(everything)  # a command would become a state
+    episode = with_commands_of_joints(everything)
     named = {*episode.signals, *episode.picture_topics, *episode.sound_topics}
     topics = _Topics({*named, *joint_topics(episode)})
     said = notes_of_channels(episode, ros_topic)
@@ -185,9 +188,14 @@ def _imported(path: Path, output: Path, *, overwrite: bool, options: ReadOptions
         if not writer.accepted:
             raise LogError(_why_nothing(path, episode, unheard), _NAME_ANOTHER)
     left_out = [
-        f"{channel.topic}: {_DRIVES if channel.drives else channel.skipped}"
+        f"{channel.topic}: {_FORCES if channel.drives else channel.skipped}"
         for channel in episode.channels
         if channel.skipped
+    ]
+    left_out += [
+        f"{name}: nothing tells what it is, or in which unit"
+        for name, signal in episode.signals.items()
+        if signal.unit == UNSTATED and not signal.is_position and not _is_kept(signal)
     ]
     left_out += [*unheard, *map(str, left_out_of(episode))]
     return Imported(writer.written, tuple(left_out), tuple(topics.renamed), episode.warnings)
@@ -244,11 +252,38 @@ def _signal_streams(
             said |= notes_of(signal, topic)
             turns = episode.signals.get(f"{name}.{ORIENTATION}")
             yield _poses(topic, signal, turns) if signal.is_position else _impacts(topic, signal)
+        elif signal.drives and _is_kept(signal) and name.rpartition(".")[2] not in JOINT_PARTS:
+            topic = topics.claim(name)
+            said |= notes_of(signal, topic)
+            yield _numbers(topic, signal)
     for name, parts in joint_topics(episode).items():
         topic = topics.claim(name)
         for part, signal in parts.items():
             said |= notes_of(signal, f"{topic}.{part}")
         yield joint_states(topic, parts)
+
+
+def with_commands_of_joints(episode: Episode) -> Episode:
+    """Return the episode without forces: commands of joints are imported, and noted as such."""
+    plain = without_commands(episode)
+    kept = {name for name, one in episode.signals.items() if one.drives and _is_kept(one)}
+    if not kept:
+        return plain
+    topics = {*kept, *map(topic_of, kept)}
+    channels = (
+        replace(one, skipped=one.skipped or UNUSED)
+        if one.drives and one.topic not in topics
+        else one
+        for one in episode.channels
+    )
+    signals = {name: one for name, one in episode.signals.items() if not one.drives or name in kept}
+    return replace(episode, signals=signals, channels=tuple(channels))
+
+
+def _is_kept(signal: Signal) -> bool:
+    """Return whether a signal is of joints, or of commands that say no quantity."""
+    is_joints = signal.name.rpartition(".")[2] in JOINT_PARTS and signal.columns != ("x", "y", "z")
+    return is_joints or (signal.drives and signal.unit in ("1", UNSTATED))
 
 
 def joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
@@ -275,6 +310,14 @@ def _impacts(topic: str, signal: Signal) -> TopicMessages:
     write = partial(EpisodeWriter.write_message, topic=topic, type_name=messages.HEADER)
     for stamp_ns in signal.stamps_ns.tolist():
         data = messages.encode(messages.header(stamp_ns, ""), messages.HEADER)
+        yield stamp_ns, topic, partial(write, stamp_ns=stamp_ns, data=data)
+
+
+def _numbers(topic: str, signal: Signal) -> TopicMessages:
+    """Yield commands that say no quantity, in the order of the signal's columns."""
+    write = partial(EpisodeWriter.write_message, topic=topic, type_name=messages.NUMBERS)
+    for stamp_ns, values in zip(signal.stamps_ns.tolist(), signal.values, strict=True):
+        data = messages.encode(messages.numbers(values), messages.NUMBERS)
         yield stamp_ns, topic, partial(write, stamp_ns=stamp_ns, data=data)
 
 

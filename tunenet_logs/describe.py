@@ -69,7 +69,7 @@ def _table(channels: Sequence[Channel]) -> list[str]:
                 f"{rate_hz:.1f} Hz" if rate_hz else "-",
                 f"{duration_s:.2f} s",
                 f"{len(gaps)} to {gaps.max():.2f} s" if len(gaps) else "-",
-                "yes" if one.skipped is None else f"no: {one.skipped}",
+                _use_of(one),
             )
         )
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
@@ -102,6 +102,12 @@ def _timeline(channels: Sequence[Channel]) -> list[str]:
         marks = ("#" if count >= usual / 2 else "." if count else " " for count in counts)
         lines.append(f"  {short_name(channel.topic).ljust(width)} |{''.join(marks)}|")
     return lines
+
+
+def _use_of(channel: Channel) -> str:
+    if channel.skipped is not None:
+        return f"no: {channel.skipped}"
+    return "with --model" if channel.drives else "yes"
 
 
 # ---- JSON of `info` and `check`
@@ -184,5 +190,6 @@ def _channel_fields(channel: Channel) -> dict[str, Any]:
         "gaps": len(gaps),
         "longest_gap_s": float(gaps.max()) if len(gaps) else None,
         "used": channel.skipped is None,
+        "drives": channel.drives,
         "not_used_because": channel.skipped,
     }

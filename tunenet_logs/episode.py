@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]  # real numbers; the shape is said where it is used
 # Pixels: (height, width, 3) of RGB, or of BGR where it is said, or (height, width) of grey.
 Picture = NDArray[np.uint8]
+COMMANDS = "commands"  # ends the name of a robot's commanded joints, before their quantity
 UNSTATED = ""  # the unit of lengths of which nobody says what they are
 # What a stamp counts for each frame where nothing says how many there are in a second.
 FRAME_NS = 10_000_000

@@ -7,6 +7,7 @@ imported log gets back what its notes say (`restored`), and `without_commands` d
 
 from __future__ import annotations
 
+import json
 import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
@@ -57,6 +58,7 @@ from tunenet_logs.formats.base import (
     described,
     lost_share,
 )
+from tunenet_logs.formats.columns.angles import PERCENT
 from tunenet_logs.formats.decoders import ENCODINGS, Decoders
 from tunenet_logs.formats.fields import (
     UNUSED,
@@ -73,6 +75,7 @@ from tunenet_logs.media_messages import checked, frames_of, in_order, sound_of
 from tunenet_logs.messages import HEADER, RECOVERY_RECORD, SHOWS, is_info
 from tunenet_logs.signals import (
     MAX_NUMBERS,
+    ControllerRows,
     JointRows,
     MediaStamps,
     NumberRows,
@@ -110,6 +113,8 @@ def no_topic(topic: str, usable: Iterable[str]) -> NotFoundError:
 
 # How notes begin, before a signal's name.
 _UNIT, _COUNTS, _IMPACTS, _LEFT_OUT = "length_unit:", "counts_frames:", "impacts:", "left_out:"
+# Of joints: that it is a command, its unit where it is not the usual one, and what its columns are.
+_COMMANDS, _JOINT_UNIT, _COLUMNS = "commands:", "joint_unit:", "columns:"
 _UNTIMED = "frames_untimed"  # note of a log whose pictures are stamped by their count
 _YES = "1"
 _UNKNOWN = "unknown"  # a unit of length that nobody names
@@ -131,6 +136,12 @@ def notes_of(signal: Signal, name: str) -> dict[str, str]:
         notes[_IMPACTS + name] = _YES
     if signal.left_out:
         notes[_LEFT_OUT + name] = as_note(signal.left_out)
+    if signal.drives:
+        notes[_COMMANDS + name] = _YES
+    if signal.unit in (PERCENT, UNSTATED) and not signal.is_position:
+        notes[_JOINT_UNIT + name] = signal.unit or _UNKNOWN
+    if signal.drives and signal.unit in ("1", UNSTATED):
+        notes[_COLUMNS + name] = json.dumps(list(signal.columns))
     return notes
 
 
@@ -147,7 +158,8 @@ def notes_of_channels(episode: Episode, topic_of: Callable[[str], str]) -> dict[
 def restored(episode: Episode, options: ReadOptions) -> Episode:
     """Restore what an imported log's notes say; the user's options go before them."""
     notes, rate_hz = episode.info.notes, options.fps
-    if not any(key.startswith((_UNIT, _COUNTS, _IMPACTS, _LEFT_OUT, _UNTIMED)) for key in notes):
+    starts = (_UNIT, _COUNTS, _IMPACTS, _LEFT_OUT, _UNTIMED, _COMMANDS, _JOINT_UNIT)
+    if not any(key.startswith(starts) for key in notes):
         return episode
     signals: dict[str, Signal] = dict(episode.signals)
     channels: list[Channel] = []
@@ -162,10 +174,14 @@ def restored(episode: Episode, options: ReadOptions) -> Episode:
         before = of_note(notes.get(_LEFT_OUT + one.topic, ""))
         is_media = one.pictures or one.sounds
         known = added(one.left_out, before) if is_media else {}
-        channels.append(replace(one, skipped=skipped, left_out=known))
+        own = [name for name in signals if name == one.topic or topic_of(name) == one.topic]
+        drives = one.drives or (bool(own) and all(notes.get(_COMMANDS + n) == _YES for n in own))
+        channels.append(replace(one, skipped=skipped, left_out=known, drives=drives))
     for name, signal in signals.items():
         unit = notes.get(_UNIT + name, "")
-        if not signal.is_position or not unit or options.length_unit:
+        if notes.get(_JOINT_UNIT + name) and not signal.is_position:
+            unit = PERCENT if notes[_JOINT_UNIT + name] == PERCENT else UNSTATED
+        elif not signal.is_position or not unit or options.length_unit:
             unit = signal.unit
         else:
             unit = UNSTATED if unit == _UNKNOWN else "px"
@@ -173,6 +189,8 @@ def restored(episode: Episode, options: ReadOptions) -> Episode:
         signals[name] = replace(
             signal,
             unit=unit,
+            columns=_columns_of_note(notes.get(_COLUMNS + name, ""), signal),
+            drives=signal.drives or notes.get(_COMMANDS + name) == _YES,
             stamps_ns=_timed(signal.stamps_ns, rate_hz) if counts and rate_hz else signal.stamps_ns,
             counts_frames=signal.counts_frames or (counts and not rate_hz),
             left_out=added(signal.left_out, of_note(notes.get(_LEFT_OUT + name, ""))),
@@ -190,6 +208,24 @@ def restored(episode: Episode, options: ReadOptions) -> Episode:
             yield replace(frame, stamp_ns=stamp_ns)
 
     return replace(found, open_frames=timed)
+
+
+def topic_of(name: str) -> str:
+    """Return the topic of a joint signal's name, which ends with its quantity."""
+    return name.rpartition(".")[0]
+
+
+def _columns_of_note(text: str, signal: Signal) -> tuple[str, ...]:
+    """Parse the names of a signal's columns; its own where the note has others than it needs."""
+    try:
+        found = json.loads(text) if 0 < len(text) < 100_000 else None
+    except (ValueError, RecursionError):
+        found = None
+    names = found if isinstance(found, list) else []
+    is_sound = len(names) == len(signal.columns) and all(
+        isinstance(one, str) and one.isprintable() for one in names
+    )
+    return tuple(names) if is_sound else signal.columns
 
 
 def _timed(stamps_ns: NDArray[np.int64], rate_hz: float) -> NDArray[np.int64]:
@@ -234,7 +270,7 @@ def without_commands(episode: Episode) -> Episode:
 _MIN_STACKED, _MAX_STACKED, _MAX_LAYOUTS, _MAX_WAITING = 16, 64 * 1024, 8, 1024
 DriveRows = PlannedRows | NumberRows | WrenchRows  # what gathers commands and forces
 # What gathers messages.
-_Rows = PositionRows | JointRows | MediaStamps | DriveRows | UserColumnRows
+_Rows = PositionRows | JointRows | ControllerRows | MediaStamps | DriveRows | UserColumnRows
 
 
 class ReadingPlan:
@@ -311,6 +347,8 @@ class TopicContents:
         elif kind.holds == "joints":
             self.rows = JointRows(topic, plan.most_numbers)
             self._stacked = decoded.stacked
+        elif kind.holds == "controller":
+            self.rows = ControllerRows(topic, plan.most_numbers)
         else:
             if kind.holds == "plan":
                 rows = PlannedRows(topic, plan.points)
@@ -491,6 +529,9 @@ def unused_of_messages(episode: Episode, options: ReadOptions) -> tuple[str, ...
     has_times = not any(key.startswith((_COUNTS, _UNTIMED)) for key in episode.info.notes)
     if options.fps is not None and has_times:
         found.append("--fps not used: its messages have times of their own")
+    reads_joints = any(one.startswith(("position", "velocity")) for one in options.columns)
+    if options.angle_unit and not reads_joints:
+        found.append("--angle-unit not used: its messages have angles in rad")
     reads_currents = any(name.startswith("current") for name in options.columns)
     if options.torque_constants and not reads_currents:
         found.append(

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.episode import Array, OneFrame, Signal, added
+from tunenet_logs.episode import COMMANDS, Array, OneFrame, Signal, added
 from tunenet_logs.formats.base import BeyondLimitError, UnusableError
 from tunenet_logs.formats.message_types import (
     JointSample,
@@ -441,6 +441,35 @@ class JointRows:
             block.settle()
         while sum(map(numbers, self._blocks.values())) > self.most_numbers:
             max(self._blocks.values(), key=numbers).thin()
+
+
+class ControllerRows:
+    """Measured and commanded joints of one topic; the commands end with `.commands`."""
+
+    def __init__(self, topic: str, most_numbers: float = MAX_NUMBERS) -> None:
+        self._states, self._commands = JointRows(topic, most_numbers), JointRows("", most_numbers)
+        self.topic = topic
+
+    @property
+    def topic(self) -> str:
+        """Its topic, or the name that it goes by."""
+        return self._states.topic
+
+    @topic.setter
+    def topic(self, topic: str) -> None:
+        self._states.topic, self._commands.topic = topic, f"{topic}.{COMMANDS}"
+
+    def add(self, log_ns: int, samples: tuple[JointSample, JointSample]) -> None:
+        """Append one message; ValueError or OverflowError where it makes no sense."""
+        for rows, sample in zip((self._states, self._commands), samples, strict=True):
+            if any(len(values) for values in sample[2:]):
+                rows.add(log_ns, sample)
+
+    def signals(self) -> tuple[list[Signal], list[str]]:
+        """Return the quantities that have any value, and notes on what was repaired."""
+        states, notes = self._states.signals()
+        commands, more = self._commands.signals()
+        return [*states, *(replace(one, drives=True) for one in commands)], [*notes, *more]
 
 
 def _finite(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1050,6 +1050,7 @@ def _find_drop(
 # A ball that is seen in one with its shadow: by how much larger it looks than in flight, how many
 # times worse its picture fits, and how near the table that is [radii].
 _LARGER, _WORSE, _NEAR = 1.02, 4.0, 1.5
+_LEAST_WAY_PX = 1.0  # between two pictures, of a ball that flies: a hand's shadow is on one held
 
 
 def _merged(track: Track, known: NDArray[np.intp], along: Array) -> NDArray[np.bool_]:
@@ -1060,11 +1061,14 @@ def _merged(track: Track, known: NDArray[np.intp], along: Array) -> NDArray[np.b
     """
     radii, cost = track.radius_px[known], -np.log(np.maximum(track.confidence[known], 1e-9))
     above = (along - np.quantile(along, 0.02)) / np.nanmedian(radii)
-    flies = above > 2 * _NEAR
+    flies = (above > 2 * _NEAR) & (np.abs(np.gradient(along)) > _LEAST_WAY_PX)
     if np.count_nonzero(flies) < MIN_SAMPLES:
         return np.zeros(len(known), dtype=bool)
     worse = cost > _WORSE * np.median(cost[flies])
-    return (above < _NEAR) & worse & (radii > _LARGER * np.median(radii[flies]))
+    # A camera above the table sees a ball smaller there.
+    columns = np.column_stack([np.ones(len(above)), above])
+    law, *_ = robust_regression(columns[flies], np.log(radii[flies]))
+    return (above < _NEAR) & worse & (np.log(radii) - columns @ law > np.log(_LARGER))
 
 
 def canonical_film(film: FilmedDrop) -> Observation:

@@ -156,13 +156,19 @@ def model_export(
         what = f"{item.named}: {short_name(lost[0])} is none of what was tuned"
         raise LogError(what, "tune the log again")
     from tunenet_logs.recorders.simulators.model.parameters import DELAY
+    from tunenet_logs.recorders.simulators.model.servo import nearest
 
     remarks = {
         one.name: f"{estimate_line(one)}, was {wanted[one.name].given:.6g}; {_from(item.origin)}"
         for one in item.estimates
         if one.name != DELAY
     }
-    written = write_model(files, source.tuned, item.values, remarks, source.process)
+    values = dict(item.values)
+    for name, by in nearest(values, source.model).items():
+        values[name] = values.get(name, wanted[name].given) + by
+        was = remarks.get(name, f"was {wanted[name].given:.6g}")
+        remarks[name] = f"{was}; {by:.3g} of it in place of what MuJoCo's servos lack"
+    written = write_model(files, source.tuned, values, remarks, source.process)
     left = [
         f"not written: {one.name} = {estimate_line(one)}: {written.unwritten[one.name]}"
         for one in item.estimates

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -28,6 +28,7 @@ from tunenet_logs.analysis.estimators.base import (
 from tunenet_logs.analysis.experiment import Claim, Preset, drop_invalid_samples
 from tunenet_logs.analysis.options import Subject, TuneOptions
 from tunenet_logs.analysis.record import Motion, Rebound
+from tunenet_logs.analysis.sysid.actuators import choose
 from tunenet_logs.analysis.sysid.checks import (
     fit_checks,
     match_check,
@@ -39,6 +40,7 @@ from tunenet_logs.analysis.sysid.fit import ComparedColumns, SimulatorFit, fit_s
 from tunenet_logs.analysis.sysid.horizons import Begun, Unseen, predicted
 from tunenet_logs.analysis.sysid.source import (
     Connected,
+    ModelSource,
     Rollouts,
     SimulatorDetection,
     SimulatorSource,
@@ -250,6 +252,7 @@ class SimulatorProblem(Problem):
             predict,
             connected.later,
             connected.logs,
+            connected.omitted,
         )
         found: SimulatorFit = fit.detail
         self._rest = found.solution.values[len(start) :]
@@ -290,11 +293,42 @@ class SimulatorExperiment:
                 raise UsageError(f"{one} is named twice; name each run of the machine once")
         logs = [self.log, *(_path_of(one, "log") for one in selection.together)]
         names = names_of(logs)
-        parts, episodes = list[Connected](), [episode]
-        episodes += [_read(one, selection) for one in selection.together]
-        for log, one in zip(logs, episodes, strict=True):
-            parts.append(self._connected(one, selection, log if one is not episode else None))
-        connected = together(names, parts) if len(parts) > 1 else parts[0]
+        episodes = [episode, *(_read(one, selection) for one in selection.together)]
+        parts, connected = self._all_connected(logs, names, episodes, selection)
+        if isinstance(self.source, ModelSource) and self.source.is_to_choose:
+            choice = choose(connected, self.source)
+            chosen = replace(self, source=self.source.choosing(choice.values))
+            parts, connected = chosen._all_connected(logs, names, episodes, selection)
+            omitted = choice.omitted(tuned_first(connected.simulator.parameters))
+            doubts = (*connected.doubts, *choice.words)
+            connected = replace(connected, doubts=doubts, omitted=omitted)
+            return chosen._held_out(connected, parts, names, episodes, selection)
+        return self._held_out(connected, parts, names, episodes, selection)
+
+    def _all_connected(
+        self,
+        logs: Sequence[Path],
+        names: tuple[str, ...],
+        episodes: Sequence[Episode],
+        selection: TuneOptions,
+    ) -> tuple[list[Connected], Connected]:
+        """Connect each log, and all together."""
+        parts = [
+            self._connected(one, selection, log if number else None)
+            for number, (log, one) in enumerate(zip(logs, episodes, strict=True))
+        ]
+        return parts, together(names, parts) if len(parts) > 1 else parts[0]
+
+    def _held_out(
+        self,
+        connected: Connected,
+        parts: Sequence[Connected],
+        names: tuple[str, ...],
+        episodes: Sequence[Episode],
+        selection: TuneOptions,
+    ) -> SimulatorDetection:
+        """Make the detection, with the log that is held out."""
+        episode = episodes[0]
         others = dict(zip(names[1:], episodes[1:], strict=True))
         if selection.hold_out is not None:
             log = _path_of(selection.hold_out, "held out")
@@ -323,7 +357,10 @@ class SimulatorExperiment:
 
     def problem(self, detection: SimulatorDetection, initial: Array) -> Problem:
         """Pose least squares by rollouts; see `Experiment.problem`."""
-        return SimulatorProblem(detection.connected, initial, detection.source.digest)
+        source = detection.source
+        if isinstance(source, ModelSource) and source.chosen is not None:  # as the log told
+            initial = np.array([source.chosen[one.name] for one in source.parameters])
+        return SimulatorProblem(detection.connected, initial, source.digest)
 
     def checks(
         self, detection: SimulatorDetection, last: Step, fit: FitResult | None
@@ -398,6 +435,8 @@ def print_plan(log: Path, options: TuneOptions) -> None:
     for one in parameters:
         low, high = one.training_range
         print(f"  tuned: {one.name} from {one.initial:g} in {low:g} to {high:g}{_unit(one)}")
+    if isinstance(options.source, ModelSource) and options.source.is_to_choose:
+        print("  of servos' terms beyond their first four only those that the log tells")
     for one in connected.simulator.parameters[len(parameters) :]:
         print(f"  begins: {one.name} {one.initial:.4g} ± {one.prior_sd:.2g}{_unit(one)}")
 

@@ -337,6 +337,7 @@ class Solution:
     path: tuple[Array, ...]  # the values of each step, the start first
     chosen: Array  # how much each of the M values counted, 0 to 1
     bends: Array  # second differences of the rollouts, by the parameters, shape (P, M)
+    together: float = 1.0  # how many neighbouring residuals count as one, beside a weak prior
 
 
 def ranges_of(parameters: Sequence[Parameter]) -> Array:
@@ -346,6 +347,32 @@ def ranges_of(parameters: Sequence[Parameter]) -> Array:
         for one in parameters
     ]
     return np.array(widths)
+
+
+def precisions_of(parameters: Sequence[Parameter], together: float) -> Array:
+    """Return the precision of each parameter's prior, shape (P,); 0 without one.
+
+    The samples are weighed as if each told something new. What others of its kind have is weighed
+    by as much more as neighbours tell the same (a tempered likelihood).
+    """
+    found = np.zeros(len(parameters))
+    for place, one in enumerate(parameters):
+        if one.prior_sd is not None:
+            found[place] = one.prior_sd**-2
+        elif one.usual is not None:
+            found[place] = together * one.usual[1] ** -2
+    return found
+
+
+def correlation_length(values: Array) -> float:
+    """Return the samples over which a series hangs together, 1 or more (Sokal's window)."""
+    power = np.abs(np.fft.rfft(values, 2 * len(values))) ** 2
+    shared = np.fft.irfft(power)[: len(values)]
+    if len(values) < 2 or shared[0] <= 0:
+        return 1.0
+    sums = 2 * np.cumsum(shared / shared[0]) - 1
+    inside = np.flatnonzero(np.arange(len(sums)) >= 5 * sums)
+    return max(float(sums[inside[0] if len(inside) else -1]), 1.0)
 
 
 @dataclass(eq=False)
@@ -361,21 +388,26 @@ class RolloutLeastSquares:
     def __post_init__(self) -> None:
         self._scales = ranges_of(self.parameters)
         self._bounds = np.array([one.bounds for one in self.parameters]).T
-        self._centres = np.array([one.initial for one in self.parameters])
-        self._precision = np.array(
-            [0.0 if one.prior_sd is None else one.prior_sd**-2 for one in self.parameters]
+        self._centres = np.array(
+            [one.usual[0] if one.usual else one.initial for one in self.parameters]
         )
+        self._is_start = np.array([one.prior_sd is not None for one in self.parameters])
+        self._together = 1.0
         every = np.ones(len(self.target.values)) if self.counts is None else self.counts
         self.chosen = every if self.fitted is None else every * self.fitted
         self._spread = np.array([column.spread for column in self.target.columns])
         # A simulator is never weighed as more exact than this share of a column's spread.
         self._floor = np.maximum(1e-3 * self._spread, 1e-12)
         # Of the finite differences, by a parameter's range or prior: least, most, and first.
-        has_prior = self._precision > 0
         self._least = 1e-5 * self._scales
-        self._most = np.where(has_prior, 1.0, 2e-2) * self._scales
-        self._steps = np.where(has_prior, 0.2, 3e-3) * self._scales
+        self._most = np.where(self._is_start, 1.0, 2e-2) * self._scales
+        self._steps = np.where(self._is_start, 0.2, 3e-3) * self._scales
         self._known: Differences | None = None
+
+    @property
+    def _precision(self) -> Array:
+        """Precision of each parameter's prior, shape (P,); 0 without one."""
+        return precisions_of(self.parameters, self._together)
 
     def residuals(self, values: Array) -> Array:
         """Return simulated less observed, (N, M), at values of shape (N, P)."""
@@ -433,6 +465,12 @@ class RolloutLeastSquares:
         """Return the RMS residual of each column, shape (C,)."""
         return np.maximum(self.target.rms(residuals, self.chosen), self._floor)
 
+    def _correlation(self, residuals: Array) -> float:
+        """Return over how many samples the residuals of a column hang together, at most."""
+        columns = range(len(self.target.columns))
+        kept = [residuals[(self.chosen > 0) & (self.target.which == number)] for number in columns]
+        return max(correlation_length(one) for one in kept)
+
     def coarse(self) -> Array:
         """Return the residual scale of each column far from the solution, shape (C,).
 
@@ -449,7 +487,16 @@ class RolloutLeastSquares:
         path: list[Array] = []
         values, residuals, noise = self._settled(start, path, is_central=True)
         seen = self._differences(values, residuals, is_central=True)
-        return Solution(values, residuals, seen.slopes, noise, tuple(path), self.chosen, seen.bends)
+        return Solution(
+            values,
+            residuals,
+            seen.slopes,
+            noise,
+            tuple(path),
+            self.chosen,
+            seen.bends,
+            self._together,
+        )
 
     def least_residuals(self, start: Array) -> Array:
         """Return the residuals, (M,), where the same ends, without what says how sure it is."""
@@ -474,6 +521,8 @@ class RolloutLeastSquares:
             values, residuals = self._descend(values, residuals, noise, path)
         for _ in range(3):  # times that columns are weighed by what is left of them
             noise = self.left(residuals)
+            if any(one.usual for one in self.parameters):
+                self._together = self._correlation(residuals)
             values, residuals = self._descend(values, residuals, noise, path, is_central=is_central)
             if np.allclose(self.left(residuals), noise, rtol=0.1):
                 break
@@ -608,7 +657,7 @@ class RolloutLeastSquares:
         With its slopes: if a solution explains what is left out, too, the step is small.
         """
         noise = self.left(solution.residuals)
-        values = solution.values
+        values, self._together = solution.values, solution.together
         normal, slope = self._equations(values, solution.residuals, solution.slopes, noise)
         tried = np.clip(values + self._step(values, normal, slope, 0.0), *self._bounds)
         return tried, self.residuals(tried[None])[0]
@@ -633,7 +682,7 @@ class RolloutLeastSquares:
         step = np.zeros(len(values))
         part = normal[np.ix_(free, free)]
         step[free] = -np.linalg.solve(part + damping * np.diag(np.diag(part)), slope[free])
-        tuned = np.abs(step[self._precision == 0]).max(initial=0.0)
+        tuned = np.abs(step[~self._is_start]).max(initial=0.0)
         return step * self._scales * min(1.0, 0.5 / max(tuned, 1e-12))  # half a range at most
 
 
@@ -648,13 +697,9 @@ def covariance(
     scales = ranges_of(parameters)
     weights = solution.chosen / target.per_value(solution.noise) ** 2
     slopes = solution.slopes * scales
-    precision = np.array(
-        [
-            # Of a parameter of which nothing is known: ten ranges are one sd.
-            1e-2 if one.prior_sd is None else (scale / one.prior_sd) ** 2
-            for one, scale in zip(parameters, scales, strict=True)
-        ]
-    )
+    precision = precisions_of(parameters, solution.together) * scales**2
+    # Of a parameter of which nothing is known: ten ranges are one sd.
+    precision = np.where(precision > 0, precision, 1e-2)
     bread = np.linalg.inv(slopes.T @ (weights[:, None] * slopes) + np.diag(precision))
     # Sum scores over columns in bins of time, shape (K, P).
     scores = slopes * (weights * solution.residuals)[:, None]
@@ -684,7 +729,10 @@ def covariance(
     inner = np.linalg.solve(factor, np.linalg.solve(factor, meat).T)
     sizes, axes = np.linalg.eigh((inner + inner.T) / 2)
     kept = axes @ np.diag(np.maximum(sizes, 1.0)) @ axes.T
-    found = bread @ ((factor @ kept @ factor.T) + np.diag(precision)) @ bread
+    # A weighed prior's scores have the weight twice, its precision once.
+    usual = np.array([one.prior_sd is None and one.usual is not None for one in parameters])
+    prior = np.where(usual, solution.together, 1.0) * precision
+    found = bread @ ((factor @ kept @ factor.T) + np.diag(prior)) @ bread
     independent = len(scores) / (1 + span)
     found *= independent / max(independent - len(parameters), 1.0)
     return found * np.outer(scales, scales), independent
@@ -693,6 +741,7 @@ def covariance(
 # ---- Fit of all parameters, its hold-out, and how sure each is
 
 MISSED = 0.03  # of how much a column varies in what is held out, that may be missed
+TOLD = 0.6  # of the sd of what others have: a log that leaves more tells nothing of it
 _LOOSENED, _LOOSEST = 1.5, 10.0  # times as unsure a start as read: from when on, and at most
 _LOOKS = 2  # at where a motion is predictable, from the start and from what that gave
 _CONTRADICTS = 4.0  # of the cost, twice a log likelihood: two standard deviations
@@ -788,6 +837,9 @@ class SimulatorFit:
         values = np.abs(self.solution.values[own])
         # Times less sure than if all others were known: from there on it is seen with them alone
         wide |= (self.inflation[own] > 40.0) & (half95 > 0.25 * values)
+        # What others have is all that is known where the log leaves it as wide as that.
+        usual = [one.usual[1] if one.usual else np.inf for one in self.parameters[own]]
+        wide |= half95 > 1.96 * TOLD * np.array(usual)
         return tuple(one for one, is_wide in zip(self.parameters, wide, strict=False) if is_wide)
 
 
@@ -801,13 +853,15 @@ def fit_simulator(
     predict: Predict | None = None,
     later: NDArray[np.bool_] | None = None,
     logs: tuple[tuple[str, ...], NDArray[np.intp]] | None = None,
+    omitted: Callable[[Array], Array] | None = None,
 ) -> FitResult:
     """Fit all parameters to a log, the user's from `start`, shape (T,).
 
     `finer` makes rollouts with half the time step; `unresolved` is what the step leaves unsure of
     each parameter, one standard deviation, shape (P,). `predict` tells how well a fit predicts
     what is held out, `later` what of the log that is, shape (M,): the last 40 % of the time. `logs`
-    are the names of several, and which each value is of, shape (M,).
+    are the names of several, and which each value is of, shape (M,). `omitted` tells what the
+    rollout at values, shape (P,), would change by each effect that is left out, (G, M).
     """
     from scipy.special import stdtrit
 
@@ -837,6 +891,10 @@ def fit_simulator(
     wide = np.hypot(sd, np.sqrt(np.mean(np.square(rough), axis=0) / 6.0))
     if shift is not None:
         wide = np.hypot(wide, shift)
+    if omitted is not None:
+        for change in omitted(solution.values):
+            by = _moved_by(change, solution, target, parameters)
+            wide = np.hypot(wide, np.sqrt(_possible(change, by, solution, target)) * np.abs(by))
     if unresolved is not None:  # the others follow what the step leaves unsure of one
         followed = cov * (unresolved / np.diag(cov))
         wide = np.sqrt(wide**2 + np.sum(followed**2, axis=1))
@@ -1024,9 +1082,20 @@ def _moved_by(
     scales = ranges_of(parameters)
     weights = solution.chosen / target.per_value(solution.noise) ** 2
     slopes = solution.slopes * scales
-    precision = [1e-4 if one.prior_sd is None else 1.0 for one in parameters]
+    precision = precisions_of(parameters, solution.together) * scales**2
+    precision = np.where(precision > 0, precision, 1e-4)
     normal = slopes.T @ (weights[:, None] * slopes) + np.diag(precision)
     return np.linalg.solve(normal, slopes.T @ (weights * change)) * scales
+
+
+def _possible(change: Array, by: Array, solution: Solution, target: ComparedColumns) -> float:
+    """Return the variance that a log leaves of an effect's size, of a prior of 1 about none.
+
+    Of its `change` of the rollout, (M,), what other values do not undo, `by` (P,), is seen.
+    """
+    left = change - solution.slopes @ by
+    seen = np.sum(solution.chosen * (left / target.per_value(solution.noise)) ** 2)
+    return 1.0 / (1.0 + float(seen) / solution.together)
 
 
 def _agreement(

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from tunenet_logs.episode import Array, Episode, Signal
+from tunenet_logs.episode import UNSTATED, Array, Episode, Signal
 from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.formats.columns.angles import PERCENT, REMEDY
 from tunenet_logs.recorders.simulators.model.parameters import MANY_SIDED, element_names
 from tunenet_logs.recorders.simulators.model.rollout import (
     Drive,
@@ -25,6 +26,7 @@ from tunenet_logs.recorders.simulators.model.rollout import (
     free_joint,
     rotation_in,
 )
+from tunenet_logs.recorders.simulators.model.servo import servos
 from tunenet_logs.recorders.simulators.mujoco import mujoco
 from tunenet_logs.terminal import listed, one_line, short_name
 
@@ -34,7 +36,11 @@ from tunenet_logs.terminal import listed, one_line, short_name
 _COMMANDS = re.compile(r"command|cmd|target|desired|reference|setpoint|goal|trajectory", re.I)
 # In the last part of a topic's name: what is, whatever the parts before it say.
 _STATES = re.compile(r"state|measured|actual|feedback", re.I)
+# The last part of the name of what is 1 while a servo has power, and 0 without.
+_POWER = re.compile(r"(torque|motors?|servos?)?_?(enabled?|powered|power|on)", re.I)
 _QUANTITIES = ("position", "velocity", "effort")
+# Where a table holds several runs, and a data set several episodes: what ends their topics.
+_RUN = re.compile(r"\.((?:run|episode|demo_)\d+)$")
 _PARTS = (*_QUANTITIES, "orientation", "force", "torque")  # how the signals of one topic end
 
 
@@ -44,10 +50,24 @@ def topic_of(signal: str) -> str:
     return topic if last in _PARTS else signal
 
 
+def run_of(signal: str) -> str:
+    """Return which run of a table or data set a signal is of, such as "episode3"; "" for none."""
+    found = _RUN.search(topic_of(signal))
+    return found[1] if found else ""
+
+
 def quantity_of(signal: str) -> str:
     """Return which joint quantity a signal is; "" if it is none."""
     last = signal.rpartition(".")[2]
     return last if last in _QUANTITIES else ""
+
+
+def is_power(signal: Signal) -> bool:
+    """Return whether a signal says when servos have power: by its name and values, 0 and 1."""
+    if not _POWER.fullmatch(re.split(r"[/.]", signal.name)[-1]):
+        return False
+    values = signal.values[np.isfinite(signal.values)]
+    return bool(values.size) and bool(np.isin(values, (0.0, 1.0)).all())
 
 
 def is_wanted(topic: str) -> bool:
@@ -75,6 +95,23 @@ def words_of(name: str) -> list[str]:
     frames = name.split(".")
     tails = [".".join(frames[place:]) for place in range(1, min(len(frames), 9))]
     return [*tails, *reversed(name.split("/")), *reversed(re.split(r"[/.@]", name))]
+
+
+def without_common(names: Sequence[str]) -> list[str]:
+    """Strip names of the words that all begin with, and of those that all end with.
+
+    `main_pan.pos` and `main_lift.pos` are `pan` and `lift`; one name alone is kept.
+    """
+    found = list(names)
+    for _ in range(2):  # from the front, then from the back
+        parts = [re.split(r"(?<=[\W_])", name) for name in found]
+        shared = 0
+        if len(parts) > 1:
+            least = min(map(len, parts)) - 1
+            equal = (len({one[at] for one in parts}) == 1 for at in range(least))
+            shared = next((at for at, is_one in enumerate(equal) if not is_one), least)
+        found = ["".join(one[shared:])[::-1] for one in parts]
+    return found
 
 
 def _plain(name: str) -> str:
@@ -293,6 +330,44 @@ def _beginning(signal: Signal) -> Array:
     return good.mean(axis=0) if len(good) else np.zeros(signal.values.shape[1])
 
 
+# ---- Prefixes: `--map 'main_*=joint/*'` maps every column that begins so
+
+_ANY = "*"
+
+
+def spread_told(
+    told: Mapping[str, str], signals: Mapping[str, Signal], names: Mapping[str, Sequence[str]]
+) -> dict[str, str]:
+    """Return `--map` with each key that ends with * as those of the columns that begin so.
+
+    What stands for the * in a column stands for it in the target.
+    """
+    found = {key: target for key, target in told.items() if not key.endswith(_ANY)}
+    for key, target in told.items():
+        if not key.endswith(_ANY):
+            continue
+        kind, _, wanted = target.partition("/")
+        said = f"--map {short_name(key)}={short_name(target)}"
+        if kind not in ("joint", "actuator") or not wanted.endswith(_ANY):
+            raise UsageError(
+                f"{said}: a * stands for the rest of a joint's name", "write PREFIX*=joint/PREFIX*"
+            )
+        columns = {
+            (of.name, column): column.removeprefix(key[:-1])
+            for of in signals.values()
+            for column in of.columns
+            if column.startswith(key[:-1]) and (quantity_of(of.name) or of.drives)
+        }
+        pairs = {one: f"{kind}/{wanted[:-1]}{rest}" for one, rest in columns.items()}
+        known = {one: to for one, to in pairs.items() if to.partition("/")[2] in names[kind]}
+        if not known:
+            what = "no column of the log begins so" if not columns else "no such part of the model"
+            near = listed([one for one in names[kind] if one], _FEW) or "none"
+            raise UsageError(f"{said}: {what}", f"there is: {near}")
+        found |= {f"{name}.{column}": to for (name, column), to in known.items()}
+    return found
+
+
 # ---- A whole episode: states, commands, poses and wrenches
 
 _BY_QUANTITY: Mapping[str, Kind] = {
@@ -303,6 +378,8 @@ _BY_QUANTITY: Mapping[str, Kind] = {
 _UNITS: Mapping[str, str] = {"rad/s": "velocity", "m/s": "velocity", "N·m": "effort", "N": "effort"}
 # Units of what a user says is a joint, where its name does not tell the quantity.
 _PLACES = ("rad", "m", "1")
+# What joints without names are called, from 0 or 1 on.
+_NUMBERED = re.compile(r"(?:(?:joint|j|dof|motor|servo)[ _]?)?(\d{1,3})", re.I)
 _TARGETS = ("joint", "actuator", "body", "site")
 
 
@@ -316,18 +393,28 @@ class Match:
         self.unused: list[str] = []  # each that is not, and why
         self.turned: list[Turned] = []  # orientations, compared if the model begins with them
         self.joined: list[str] = []  # joint angles that were unwrapped, in words
-        self._episode, self._model, self._told = episode, model, told
+        self.guessed: list[str] = []  # joints that are matched by their numbers, in words
+        self._episode, self._model = episode, model
         self._names = {kind: element_names(model, kind) for kind in _TARGETS}
-        check_told(told, episode.signals, self._names)
+        self._told = spread_told(told, episode.signals, self._names)
+        check_told(self._told, episode.signals, self._names)
         states: list[Signal] = []
+        runs = list(dict.fromkeys(filter(None, map(run_of, self._episode.signals))))
+        if runs[1:]:
+            others = f"{listed(runs[1:], _FEW)}: other runs than {runs[0]}, which is used"
+            self.unused.append(f"{others}; save each as a log of its own to use them together")
         for name, signal in self._episode.signals.items():
+            if run_of(name) in runs[1:]:
+                continue
             role = self._role(name, signal)
             if role == IGNORE:
                 self.unused.append(f"{name}: left out by --map")
+            elif signal.unit == UNSTATED and self._is_untold(signal, role):
+                self.unused.append(f"{name}: {self._untold(signal)}")
             elif role == "commands":
-                self._command(signal)
+                self._command(self._in_radians(signal))
             elif role == "states":
-                states.append(signal)
+                states.append(self._in_radians(signal))
             elif role in ("pose", "wrench"):
                 mapped = self._told_signal(signal)
                 if role == "wrench":
@@ -385,6 +472,8 @@ class Match:
             return "wrench"
         if told:
             return {"body": "pose", "actuator": "commands"}.get(kind, "states")
+        if is_power(signal):
+            return "commands"
         quantity = quantity_of(name)
         if quantity or (signal.drives and signal.unit == "1"):
             return "commands" if signal.drives or is_wanted(topic_of(name)) else "states"
@@ -422,7 +511,8 @@ class Match:
             return
         if kind == "jointactuatorfrc":
             # Compare measured efforts with those of driven actuators; the others drive.
-            targets = {int(one) for drive in self.drives for one in drive.targets}
+            drives = [drive for drive in self.drives if not drive.is_switch]
+            targets = {int(one) for drive in drives for one in drive.targets}
             driven = {self._joint_of(target) for target in targets}
             joints = [self._names["joint"].index(joint) for _, _, joint in columns]
             seen = [one for one, joint in zip(columns, joints, strict=True) if joint in driven]
@@ -445,6 +535,41 @@ class Match:
         if kind == "jointpos":
             signal = self._joined(signal, columns)
         self._sense(SensedSignal(signal, names, sensors))
+
+    def _is_untold(self, signal: Signal, role: str) -> bool:
+        """Return whether a signal without a unit is of joints, and not said to be commands."""
+        is_said = self._told_signal(signal) == "commands" and not quantity_of(signal.name)
+        return not is_said and (signal.drives or role in ("states", "commands", ""))
+
+    @staticmethod
+    def _untold(signal: Signal) -> str:
+        if signal.drives and not quantity_of(signal.name):
+            topic = short_name(signal.name)
+            return f"nothing tells what of the joints it commands; say --map {topic}=commands"
+        return f"nothing tells its unit; {REMEDY}"
+
+    def _in_radians(self, signal: Signal) -> Signal:
+        """Convert per cent of the joints' ranges, -100 to 100, to the model's own positions."""
+        if signal.unit != PERCENT:
+            return signal
+        values, lacking = np.full_like(signal.values, np.nan), list[str]()
+        for place, joint in enumerate(self._elements("joint", signal)):
+            number = -1 if joint is None else self._names["joint"].index(joint)
+            if number < 0 or not self._model.jnt_limited[number]:
+                lacking += [signal.columns[place]] * (joint is not None)
+                continue
+            low, high = self._model.jnt_range[number]
+            values[:, place] = (low + high + (high - low) * signal.values[:, place] / 100) / 2
+        if lacking:
+            why = "per cent of a range that the model's joint does not have"
+            self.unused.append(f"{signal.name}: {listed(lacking, _FEW)}: {why}")
+        if np.isfinite(values).any():
+            self._say_once(
+                self.guessed,
+                "per cent are taken for those of the ranges of the model's joints; where the "
+                "servos were calibrated to others, record degrees or radians",
+            )
+        return replace(signal, values=values, unit="rad")
 
     def _joined(self, signal: Signal, columns: list[tuple[int, str, str]]) -> Signal:
         """Unwrap angles of hinges without limits that were wrapped to one turn, such as at ±π.
@@ -475,8 +600,12 @@ class Match:
         return replace(signal, values=values)
 
     def _command(self, signal: Signal) -> None:
+        if is_power(signal):
+            self._power(signal)
+            return
         quantity, pairs, again = quantity_of(signal.name), list[tuple[int, int]](), list[str]()
-        taken = {int(one) for drive in self.drives for one in drive.targets}
+        drives = [drive for drive in self.drives if not drive.is_switch]
+        taken = {int(one) for drive in drives for one in drive.targets}
         actuators, joints = self._elements("actuator", signal), self._elements("joint", signal)
         for place, column in enumerate(signal.columns):
             is_left_out = self._told_of(signal, column) == IGNORE
@@ -510,6 +639,32 @@ class Match:
             there = listed(dict.fromkeys(words), _FEW) or "none"
             why = f"no actuator of the model takes it (there is: {there})"
             self.unused.append(f"{signal.name}: {why}")
+
+    def _power(self, signal: Signal) -> None:
+        """Match the power of servos: by their names or joints'; one alone is of all."""
+        found = dict(servos(self._model))
+        if not (signal.values == 0).any():
+            self.used.append(f"{signal.name}: servos have power all the time")
+            return
+        actuators, joints = self._elements("actuator", signal), self._elements("joint", signal)
+        pairs: list[tuple[int, int]] = []
+        for place, names in enumerate(zip(actuators, joints, strict=True)):
+            named = [
+                actuator
+                for actuator, joint in found.items()
+                if self._names["actuator"][actuator] == names[0]
+                or self._names["joint"][joint] == names[1]
+            ]
+            pairs += [(place, actuator) for actuator in named]
+        if not pairs and len(signal.columns) == 1:
+            pairs = [(0, actuator) for actuator in found]
+        if not pairs:
+            self.unused.append(f"{signal.name}: no servo of the model is called so")
+            return
+        columns, targets = np.array(pairs).T
+        self.drives.append(Drive(signal, columns, targets, is_effort=False, is_switch=True))
+        names = [self._names["actuator"][target] or str(target) for target in targets]
+        self.used.append(f"{signal.name}: power of actuators {listed(names, _FEW)}")
 
     def _joint_of(self, actuator: int) -> int | None:
         """Return the index of the joint that an actuator moves, or None."""
@@ -554,11 +709,76 @@ class Match:
             told = target.startswith(f"{kind}/")
             found.append(target.removeprefix(f"{kind}/") if told else own)
         sure = {one for one in found if one is not None}
-        guesses = [named_as(column, names) for column in signal.columns]
-        for place, guess in enumerate(guesses):
-            if found[place] is None and guess not in sure and guesses.count(guess) == 1:
-                found[place] = guess
-        return found
+        known = [name for name in names if name]
+        plain = dict(zip(without_common(known), known, strict=True))
+        own = without_common(signal.columns)
+        for guesses in (
+            [named_as(column, names) for column in signal.columns],
+            [named_as(column, names) for column in own],
+            [plain.get(named_as(column, list(plain)) or "") for column in signal.columns],
+        ):
+            for place, guess in enumerate(guesses):
+                if found[place] is None and guess not in sure and guesses.count(guess) == 1:
+                    found[place] = guess
+            if any(found):
+                return found
+        return self._by_number(signal) if kind == "joint" else found
+
+    def _by_number(self, signal: Signal) -> list[str | None]:
+        """Match joints that have a number for a name: with those that actuators move, else all.
+
+        There must be as many, and a position must lie within its joint's limits.
+        """
+        nothing: list[str | None] = [None] * len(signal.columns)
+        if all(map(str.isdecimal, signal.columns)):  # of plain numbers in the actuators' order
+            return nothing
+        pairs = zip(signal.columns, without_common(signal.columns), strict=True)
+        found = [_NUMBERED.fullmatch(a) or _NUMBERED.fullmatch(b) for a, b in pairs]
+        numbers = [int(one[1]) for one in found if one]
+        first = min(numbers, default=2)
+        if first > 1 or sorted(numbers) != list(range(first, first + len(signal.columns))):
+            return nothing
+        kinds = self._model.jnt_type
+        scalar = [one for one in range(self._model.njnt) if kinds[one] not in MANY_SIDED]
+        driven = [self._joint_of(one) for one in range(self._model.nu)]
+        is_of_driven = len(set(driven)) == len(driven) == len(numbers) and None not in driven
+        joints = [one for one in driven if one is not None] if is_of_driven else scalar
+        if len(joints) != len(numbers):
+            return nothing
+        names = self._names["joint"]
+        matched: list[str | None] = [names[joints[number - first]] for number in numbers]
+        if not all(matched):
+            return nothing
+        words = [f"{a} is {b}" for a, b in zip(signal.columns, matched, strict=True)]
+        said = "joints go by their numbers"
+        if is_of_driven and len(scalar) == len(joints) and scalar != joints:
+            why = f"{said}, and the model's actuators have another order than its joints"
+            self._say_once(self.unused, f"{signal.name}: {why}; say which is which with --map")
+            return nothing
+        beyond = [one for one in range(len(joints)) if self._is_beyond(signal, one, matched[one])]
+        if beyond:
+            outside = listed([words[one] for one in beyond], _FEW)
+            why = f"{said}, and leave the limits of the model's ({outside})"
+            self._say_once(self.unused, f"{signal.name}: {why}; say which is which with --map")
+            return nothing
+        self._say_once(self.guessed, f"{said}: {listed(words, _FEW)}; if not, say so with --map")
+        return matched
+
+    def _is_beyond(self, signal: Signal, place: int, joint: str | None) -> bool:
+        """Return whether a column's positions leave their joint's range by a tenth of it."""
+        number = self._names["joint"].index(joint or "")
+        is_place = quantity_of(signal.name) == "position" and signal.unit != PERCENT
+        if not is_place or signal.drives or not self._model.jnt_limited[number]:
+            return False
+        low, high = self._model.jnt_range[number]
+        own = signal.values[:, place]
+        off = max(low - np.nanmin(own, initial=low), np.nanmax(own, initial=high) - high)
+        return bool(off > 0.1 * (high - low))
+
+    @staticmethod
+    def _say_once(said: list[str], words: str) -> None:
+        if words not in said:
+            said.append(words)
 
     def _refuse(self) -> None:
         of_log: Iterable[str] = dict.fromkeys(

@@ -22,7 +22,7 @@ from tunenet_logs.analysis.presentation import markdown_table, quantity, said_na
 from tunenet_logs.analysis.review import drawing as draw
 from tunenet_logs.analysis.sysid.fit import HeldOut, SimulatorFit, later_part, noises_of
 from tunenet_logs.analysis.sysid.source import SimulatorDetection
-from tunenet_logs.episode import Array
+from tunenet_logs.episode import Array, Signal
 from tunenet_logs.recorders.simulators.base import Parameter
 from tunenet_logs.recorders.simulators.model.rollout import (
     ModelScene,
@@ -85,6 +85,7 @@ class ShownColumn:
     # Hold-out residual of the fit to the first part, and of the simulator as given; None without.
     held_out_rms: tuple[float, float] | None
     held_out_s: float | None  # where its hold-out begins, on the axis of `seconds`; None without
+    commanded: Array | None = None  # what its joint was asked for, shape (T,); None without
 
     def title(self, what: str = "") -> str:
         """Format the name with its unit: "position elbow [rad]"."""
@@ -206,7 +207,27 @@ def _shown(
         np.sqrt(np.nansum(off**2, axis=0) / counts),
         None if held is None else (float(held.rms[number]), float(held.before[number])),
         None if held is None else float(column.seconds[later][0]) + found.offset_s,
+        _commanded(found, number, column.seconds[::every]),
     )
+
+
+def _commanded(found: SimulatorDetection, number: int, seconds: Array) -> Array | None:
+    """Return the commanded position of a column's joint, each held until the next, shape (T,)."""
+    target = found.connected.target
+    column = target.columns[number]
+    if not column.signal.endswith(".position"):
+        return None
+    for drive in getattr(found.connected.simulator, "drives", ()):
+        signal: Signal = drive.signal
+        is_of_these = signal.name.endswith(".position") and signal.unit == column.unit
+        if drive.is_effort or not is_of_these or column.name not in signal.columns:
+            continue
+        values = signal.values[:, signal.columns.index(column.name)]
+        good = np.isfinite(values)
+        at_s = (signal.stamps_ns[good] - target.start_ns) * 1e-9
+        places = np.searchsorted(at_s, seconds, side="right") - 1
+        return np.where(places < 0, np.nan, values[good][np.maximum(places, 0)])
+    return None
 
 
 # ---- Hold-out views: prediction of a log's end by a fit to its beginning
@@ -684,6 +705,10 @@ def _log_plots(
         span, values = column.shown(column.simulated[:, -1]), column.simulated[:, data.drawn]
         draw.log_lines(stream, f"{entity}/iterations", column.seconds, values, style)
         log_observed(stream, entity, column.seconds, column.observed)
+        if (asked := column.commanded) is not None and (good := np.isfinite(asked)).any():
+            line: list[tuple[str, draw.Color, float]] = [("commanded", draw.MUTED, 1.0)]
+            times_s, steps = column.seconds[good], asked[good, None]
+            draw.log_lines(stream, f"{entity}/commanded", times_s, steps, line)
         if column.held_out_s is not None:
             log_upright(stream, f"{entity}/held_out", column.held_out_s, span)
         curves.append(draw.plot_view(entity, column.title(), draw.ticked(*span)))

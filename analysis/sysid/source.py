@@ -29,6 +29,7 @@ from tunenet_logs.recorders.simulators.model.rollout import (
     free_joint,
     seen_in_world,
 )
+from tunenet_logs.recorders.simulators.model.servo import ACTUATORS
 from tunenet_logs.recorders.simulators.mujoco import mujoco
 from tunenet_logs.terminal import listed, one_line, short_name
 
@@ -151,6 +152,8 @@ class Connected:
     # Which of several logs each value is of, shape (M,), and which are held out; None for one log.
     logs: tuple[tuple[str, ...], NDArray[np.intp]] | None = None
     later: NDArray[np.bool_] | None = None  # which values are held out, shape (M,), likewise
+    # What effects that are left out would change; see `fit_simulator`.
+    omitted: Callable[[Array], Array] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,6 +209,13 @@ class ModelSource:
     path: Path  # MJCF or URDF
     wanted: tuple[str, ...]  # parameters to tune, such as `joint/elbow.damping=0:5`
     told: Mapping[str, str] = field(default_factory=dict)  # names in the log to the model's
+    # which of all that `wanted` names, and where a fit begins; None: all, as the model has them
+    chosen: Mapping[str, float] | None = None
+
+    @property
+    def is_to_choose(self) -> bool:
+        """Whether a log has to tell which terms of its servos are tuned."""
+        return self.chosen is None and any(one.strip() == ACTUATORS for one in self.wanted)
 
     @property
     def name(self) -> str:
@@ -222,7 +232,7 @@ class ModelSource:
         """SHA-256 of the model and of what is tuned."""
         import hashlib
 
-        text = self.spec.to_xml() + "\n".join(self.wanted)
+        text = self.spec.to_xml() + "\n".join((*self.wanted, *(self.chosen or {})))
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
@@ -237,7 +247,7 @@ class ModelSource:
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle the names, not what was compiled."""
-        return {name: getattr(self, name) for name in ("path", "wanted", "told")}
+        return {name: getattr(self, name) for name in ("path", "wanted", "told", "chosen")}
 
     @cached_property
     def files(self) -> ModelFiles:
@@ -273,7 +283,17 @@ class ModelSource:
                 f"{self.path}: nothing is to be tuned",
                 "name it with --tune, such as --tune joint/NAME.damping=0:5",
             )
-        return model_parameters(self.model, self.wanted)
+        every = model_parameters(self.model, self.wanted)
+        if self.chosen is None:
+            return every
+        return tuple(one for one in every if one.parameter.name in self.chosen)
+
+    def choosing(self, values: Mapping[str, float]) -> ModelSource:
+        """Copy it with these parameters alone, by address; what was compiled stays."""
+        source = replace(self, chosen=dict(values))
+        source.__dict__.update(files=self.files, spec=self.spec, process=self.process)
+        source.__dict__["model"] = self.model
+        return source
 
     def connect(self, episode: Episode) -> Connected:
         """Connect it to a log, which drives it and is compared with it; NotFoundError likewise."""
@@ -308,7 +328,7 @@ class ModelSource:
             {DELAY: 0.2 / simulator.step_hz},
             tuple(match.used),
             tuple(match.unused),
-            (*match.joined, *doubts(match.sensed, rollout)),
+            (*match.joined, *match.guessed, *doubts(match.sensed, rollout)),
             (
                 Unseen(
                     target,

@@ -33,6 +33,8 @@ class Parameter:
     training_range: tuple[float, float]  # from where training pairs are drawn
     initial: float  # the guess that tuning starts from
     prior_sd: float | None = None  # of a measured guess, as a log's initial state is
+    # mean and standard deviation of what others of its kind have: a weak prior; None if unknown
+    usual: tuple[float, float] | None = None
 
     def checked(self, value: float) -> float:
         """Return `value` if it is within bounds."""

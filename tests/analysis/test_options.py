@@ -35,6 +35,7 @@ SAID: Mapping[str, Mapping[str, Any]] = {
     "--ball-at": {"ball_at": (5.0, 5.0, 0.0)},
     "--fps": {"fps": 50.0},
     "--length-unit": {"length_unit": "mm"},
+    "--angle-unit": {"angle_unit": "deg"},
     "--torque-constants": {"torque_constants": "3"},
     "--arm": {"arm": "ur5e"},
     "--urdf": {"urdf": KNOWN_ARMS / "ur5e.urdf", "tool_link": "tool0"},

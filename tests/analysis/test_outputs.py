@@ -214,7 +214,7 @@ def test_a_verdict_that_got_worse_is_said_and_an_unwanted_review_stays(
     words = "tunenet-tune {log} -o {out} --no-review"
     assert run(command, words, tuned, out).returncode == 0
     done = run(command, f"{words} --end 0.6", tuned, out)
-    assert f"{out / 'drop.json'}: was ok, 0.7400; is " in done.stderr
+    assert f"{out / 'drop.json'}: was ok, 0.74000; is " in done.stderr
     assert "was " not in run(command, words, tuned, out).stderr
     assert (out / "drop.rrd").read_bytes() == FOREIGN["rrd"]
 

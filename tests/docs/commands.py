@@ -181,6 +181,7 @@ NOT_RUN: Mapping[str, str] = {
     r"tunenet-train .*": "takes minutes to hours; its own tests train small networks",
     r"tunenet-tune s3://.*": "needs a store on a network",
     r"tunenet-tune a\.mcap b\.mcap --model robot\.xml .*": "needs logs of a robot",
+    r"tunenet-tune my_dataset/ --model so101\.xml .*": "needs a data set of a robot",
     r"tunenet-tune .*--ray HEAD:\d+.*": "needs a cluster",
     r"make (demo|test|test-all|smoke|bench)( .*)?": "takes minutes; its target is there",
     r"\.venv/bin/pytest .*": "a part of this suite",

@@ -51,7 +51,7 @@ MODEL = """<mujoco><option timestep="0.002" density="500" viscosity="1"/>
   <tendon><fixed name="belt" damping="0.2" frictionloss="0.1" stiffness="2" springlength="0.4">
     <joint joint="hinge" coef="1"/><joint joint="slide" coef="2"/></fixed></tendon>
   <actuator>
-    <position name="servo" joint="hinge" kp="4" kv="0.5"/>
+    <position name="servo" joint="hinge" kp="4" kv="0.5" forcerange="-1 1"/>
     <velocity name="speed" joint="slide" kv="3"/>
     <motor name="motor" joint="hinge" gear="2"/>
     <muscle name="muscle" joint="hinge" lengthrange="-1 1"/>
@@ -238,7 +238,7 @@ ADDRESSES = {
     "joint": [TURNS, TURNS, TURNS, TURNS, ("hinge", "slide")],
     "body": [("arm", "slider", "bob", "block"), ("arm", "slider"), ("arm", "slider")],
     "geom": [("block",)] * 3,
-    "actuator": [("servo", "motor", "ratio"), ("servo", "speed", "ratio"), ("motor",)],
+    "actuator": [("servo", "motor", "ratio"), ("servo", "speed", "ratio"), ("motor",), ("servo",)],
     "tendon": [("belt",)] * 3,
     "option": [(None,)] * 3,
 }

@@ -282,6 +282,32 @@ def test_dynamic_joint_states(tmp_path: Path):
     assert effort.values[9].tolist() == [1.0, 2.0]
 
 
+@pytest.mark.parametrize("fields", [("feedback", "reference"), ("actual", "desired")])
+def test_what_a_trajectory_controller_measures_and_asks_for(tmp_path: Path, fields: Sequence[str]):
+    point = "trajectory_msgs/msg/JointTrajectoryPoint"
+    kind = "control_msgs/msg/JointTrajectoryControllerState"
+    lines = [f"trajectory_msgs/JointTrajectoryPoint {one}" for one in (*fields, "error")]
+    types = {kind: "\n".join(["std_msgs/Header header", "string[] joint_names", *lines])}
+    assert point in messages.typestore().types
+
+    def of(*values: float) -> dict[str, Any]:
+        more: dict[str, Any] = {"velocities": [], "accelerations": [], "effort": []}
+        return {"positions": values, **more, "time_from_start": {"sec": 0, "nanosec": 0}}
+
+    sent = [
+        {"header": header(START_NS + index * STEP_NS), "joint_names": ["a", "b"],
+         fields[0]: of(index, 2.0), fields[1]: of(index + 0.5, 3.0), "error": of(0.5, 1.0)}
+        for index in range(40)
+    ]  # fmt: skip
+    path = write_cdr(tmp_path / "a.mcap", in_steps("/arm/controller_state", kind, sent), types)
+    signals = read_episode(path).signals
+    states, commands = signals.values()
+    assert list(signals) == [f"/arm/controller_state{one}.position" for one in ("", ".commands")]
+    assert (states.drives, commands.drives) == (False, True)
+    assert commands.values[:, 0].tolist() == [index + 0.5 for index in range(40)]
+    assert states.columns == commands.columns == ("a", "b")
+
+
 # Very many messages, of one layout or of several: read together, and as they are one by one.
 MANY = 1200
 STAMPS = START_NS + np.arange(MANY) * STEP_NS
@@ -701,6 +727,9 @@ def test_units_clocks_impacts_joints_and_currents_that_are_named(path: Path):
         "/ball.position": ("rad", ("joint1", "joint2")),
         "/ball.current": ("A", ("joint1",)),
     }
+    asked = "position_1=/ball.values[0],command_1=/ball.values[1],command_2=/ball.values[2]"
+    commands = read(path, None, asked).signals["/ball.commands"]
+    assert (commands.columns, commands.drives) == (("joint1", "joint2"), True)
     signals = read(path, None, columns, torque_constants=(2.0,)).signals
     assert signals["/ball.effort"].values[:, 0] == pytest.approx(2 * np.array(HEIGHTS))
 

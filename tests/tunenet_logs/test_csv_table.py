@@ -107,7 +107,7 @@ def test_names_of_joints(tmp_path: Path, header: str, columns: tuple[str, ...]):
     [
         *(("x_px", "unit of length"), ("quat_x", "no position"), ("mood", "name")),
         *(("lift_pos_m", "unit"), ("Velocity (m/s)", "speed"), ("a (m/s²)", "speed")),
-        *(("frame", "times"), ("target_q_1", "asked for"), ("height", "column z")),
+        *(("frame", "times"), ("target_force", "asked for"), ("height", "column z")),
         *(("joint_position_deviation_ratio", "no position of a joint"), ("current", "no joint")),
     ],
 )

@@ -19,7 +19,7 @@ UMBRELLA = Path(sys.executable).with_name("tunenet")
     [
         ("recover a truncated MCAP file", "logs"),
         ("coefficient of restitution to solref in MuJoCo", "physics"),
-        ("identify frictionloss armature damping of a real motor", "your-simulator"),
+        ("identify frictionloss armature damping of a real motor", "actuators"),
         ("joint torques with or without gravity compensation", "live-joints"),
         ("what does restitution_coefficient mean in Gazebo", "engines"),
         ("payload of a UR5e wrong by several newtons", "payload"),

@@ -314,7 +314,7 @@ def test_things_that_nothing_tells_apart_are_asked_about(tmp_path: Path, kind: s
             assert set(read_episode(path, said).signals) == {"track.a", "track.b"}
 
 
-# Tables of robots: what is measured is used, what is commanded or modelled says so.
+# Tables of robots: what is measured and what is commanded is used, what is modelled says so.
 RTDE = ("actual_q", "actual_qd", "actual_current", "target_moment", "target_q", "actual_TCP_pose")
 
 
@@ -341,14 +341,16 @@ def table(
 @pytest.mark.parametrize("separator", [",", " ", ";"])
 def test_measured_joints_of_an_rtde_recording(tmp_path: Path, separator: str):
     episode = read_episode(table(tmp_path / "ur.csv", (*RTDE, "target_q"), separator=separator))
-    assert set(episode.signals) == {"joints.position", "joints.velocity"}
-    position = episode.signals["joints.position"]
+    assert set(episode.signals) == {"joints.position", "joints.velocity", "commands.position"}
+    position, command = (episode.signals[f"{one}.position"] for one in ("joints", "commands"))
+    assert (position.drives, command.drives) == (False, True)
+    assert (command.columns, command.unit) == (position.columns, "rad")
+    np.testing.assert_allclose(command.values[0], 40 + np.arange(6))
     assert (position.columns[0], position.unit) == ("shoulder_pan_joint", "rad")
     np.testing.assert_allclose(position.values[0], range(6))
     assert position.stamps_ns[1] == 2_000_000
     reasons = skipped(episode)
     assert "the payload that was set" in reasons["target_moment 0 to 5"]
-    assert reasons["target_q 0 to 5"] == "commanded, not measured"
     assert "--torque-constants K1,K2,K3,...,K6" in reasons["actual_current 0 to 5"]
 
 
@@ -373,7 +375,7 @@ def test_currents_become_torques_with_the_constants_that_are_said(tmp_path: Path
     [
         (RTDE, (1, 2), "has 2 numbers for the 6 joints of actual_current"),
         (("actual_q", "target_q"), (1, 2), "there are no measured currents"),
-        (("target_q", "target_qd"), (), "commanded, not measured; record the measured position"),
+        (("target_q", "target_qd"), (1, 2), "there are no measured currents"),
     ],
 )
 def test_refusals(tmp_path: Path, stems: Sequence[str], constants: tuple[float, ...], says: str):
@@ -398,7 +400,8 @@ def test_measured_joints_of_a_franka(tmp_path: Path, form: str, time: str, step_
         log.write_text("\n".join([head, *(row.replace(",", ",1,", 1) for row in rows)]) + "\n")
     episode = read_episode(log)
     by_name = {name: one.values[0][1] for name, one in episode.signals.items()}
-    assert by_name == {"joints.position": 1, "joints.velocity": 21, "joints.effort": 41}
+    states = {"joints.position": 1, "joints.velocity": 21, "joints.effort": 41}
+    assert by_name == states | {"commands.position": 11, "commands.velocity": 31}
     effort = episode.signals["joints.effort"]
     assert effort.columns == tuple(f"joint{n}" for n in range(1, 8))
     assert effort.stamps_ns[1] == step_ns

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.episode import Signal
+from tunenet_logs.episode import COMMANDS, Signal
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.base import (
     MAX_NODES,
@@ -538,15 +538,16 @@ class UserColumnRows:
         groups: list[Group] = []
         if axes := [Used(names.index(one), at, 1.0) for at, one in enumerate(AXES) if one in names]:
             groups.append(Group(self.topic, AXES, unit, tuple(axes), clock, stamp, is_track=True))
-        for quantity, unit in JOINT_UNITS.items():
+        for quantity, unit in (*JOINT_UNITS.items(), ("command", "1")):
             numbers = sorted(int(n[len(quantity) + 1 :]) for n in names if n.startswith(quantity))
             used = tuple(
                 Used(names.index(f"{quantity}_{number}"), at, 1.0)
                 for at, number in enumerate(numbers)
             )
             labels = tuple(f"joint{number}" for number in numbers)
-            name = f"{self.topic}.{quantity}"
-            groups += [Group(name, labels, unit, used, clock, stamp)] if used else []
+            drives = quantity == "command"
+            name = f"{self.topic}.{COMMANDS if drives else quantity}"
+            groups += [Group(name, labels, unit, used, clock, stamp, drives=drives)] if used else []
         if groups:
             plan = fitted(
                 self._path, ColumnPlan(tuple(names), tuple(groups), is_stacked=True), options

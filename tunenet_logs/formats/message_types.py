@@ -34,10 +34,19 @@ from tunenet_logs.formats.base import (
 class MessageType:
     """A type of messages."""
 
-    # several `PositionSample`, a `JointSample`, a `PictureSample`, a `SoundSample`; of what drives
-    # a robot, a `PlanSample`, plain numbers without a stamp, a `WrenchSample`; our `TaskOutcome`
+    # several `PositionSample`, a `JointSample`, two of these (measured and commanded), a
+    # `PictureSample`, a `SoundSample`; of what drives a robot, a `PlanSample`, plain numbers
+    # without a stamp, a `WrenchSample`; our `TaskOutcome`
     holds: Literal[
-        "positions", "joints", "picture", "sound", "plan", "numbers", "wrench", "outcome"
+        "positions",
+        "joints",
+        "controller",
+        "picture",
+        "sound",
+        "plan",
+        "numbers",
+        "wrench",
+        "outcome",
     ]
     read: Callable[[Any], Any]  # gives that of a decoded message
     # that are read; a type or message without them is not used. Neither a protobuf schema nor JSON
@@ -238,6 +247,21 @@ def _trajectory(message: Any) -> PlanSample:
     return PlanSample(ros_stamp_ns(message), tuple(message.joint_names), points)
 
 
+def _controller_state(message: Any) -> tuple[JointSample, JointSample]:
+    """Return what ros2_control's trajectory controller measured, and what it asked for."""
+    stamp_ns, names = ros_stamp_ns(message), tuple(message.joint_names)
+
+    def sample(*fields: str) -> JointSample:
+        points = (getattr(message, field, None) for field in fields)
+        point = next((one for one in points if one is not None), None)
+        if point is None:
+            raise ValueError(f"it has no {fields[0]}")
+        return JointSample(stamp_ns, names, point.positions, point.velocities, point.effort)
+
+    # As it was called until ROS 2 Humble, too.
+    return sample("feedback", "actual"), sample("reference", "desired")
+
+
 def _wrench(message: Any) -> WrenchSample:
     force, torque = message.wrench.force, message.wrench.torque
     x, y, z = float(force.x), float(force.y), float(force.z)
@@ -284,6 +308,10 @@ _PIXELS: dict[str, Node] = dict.fromkeys(("width", "height", "step"), Plain.WHOL
 _PIXELS |= {"encoding": Plain.TEXT, "data": Plain.DATA}
 _POINT_FIELDS = ("positions", "velocities", "effort")
 _PLAN_POINT = _fields(dict.fromkeys(_POINT_FIELDS, _NUMBERS), time_from_start=Plain.TIME)
+_CONTROLLER: dict[str, Node] = dict.fromkeys(
+    ("feedback", "actual", "reference", "desired"),
+    Maybe(_fields(dict.fromkeys(_POINT_FIELDS, _NUMBERS))),
+)
 _OUTCOME: dict[str, Node] = dict.fromkeys(
     ("task", "ball", "drop_log", "tuning", "reason", "note"), Plain.TEXT
 )
@@ -365,6 +393,9 @@ TYPES: dict[str, MessageType] = {
         _dynamic_joints,
         _fields(_HEADER, joint_names=_TEXTS, interface_values=Listed(_INTERFACE)),
         _DYNAMIC_JOINTS,
+    ),
+    "control_msgs/msg/JointTrajectoryControllerState": MessageType(
+        "controller", _controller_state, _fields(_HEADER, joint_names=_TEXTS, **_CONTROLLER)
     ),
     "foxglove.JointStates": _joints(_foxglove_joints, _fields(_STAMP, joints=Listed(_JOINT))),
     **{

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 from tunenet_logs.console import CheckedOptions, add_options, given, option
 from tunenet_logs.errors import UsageError
+from tunenet_logs.formats.columns.angles import angle_unit
 from tunenet_logs.formats.columns.names import LENGTHS
 
 # Where a column of `--columns` begins, and what it is; a column's own name may hold commas.
 _ASSIGNMENT = re.compile(
-    r"(?:^|,)\s*(t|frame|times|object|x|y|z|(?:position|velocity|effort|current)_[1-9]\d{0,2})\s*="
+    r"(?:^|,)\s*(t|frame|times|object|x|y|z|(?:position|velocity|effort|current|command)_[1-9]\d{0,2})\s*="
 )
 COLUMNS_EXAMPLE = "t=Zeit,z='Height (cm)', or by number from 1: t=1,z=2; of a log: z=/ball.z"
 
@@ -65,8 +66,8 @@ class ReadOptions(CheckedOptions):
 
     columns: Mapping[str, str] = option(
         "which column is which: t (time), frame, x, y, z, times (of impacts), "
-        "object, position_1, velocity_1, effort_1, current_1, ...; a column by its name, or by its "
-        "number from 1; of a log TOPIC.FIELD, as z=/vicon/ball.z_trans",
+        "object, position_1, velocity_1, effort_1, current_1, command_1, ...; a column by its "
+        "name, or by its number from 1; of a log TOPIC.FIELD, as z=/vicon/ball.z_trans",
         dict,
         group="files",
         metavar="NAME=COLUMN,...",
@@ -85,6 +86,15 @@ class ReadOptions(CheckedOptions):
         subject="lengths",
         metavar="UNIT",
         parse=_length_unit,
+    )
+    angle_unit: str = option(
+        "of joints, where the file states none: rad, deg, turn, percent (of the range, -100 to "
+        "100), ticks (4096 a turn, 0 at 2048) or ticks:PER_TURN:ZERO",
+        "",
+        group="files",
+        subject="joints",
+        metavar="UNIT",
+        parse=angle_unit,
     )
     torque_constants: tuple[float, ...] = option(
         "torque at the joint for each A of its motor's current [N·m/A], joint by joint, or one for "

@@ -35,6 +35,7 @@ from tunenet_logs.formats.readers import (
     mocap,
     parquet,
     pictures,
+    sage,
     sheets,
     trackers,
 )
@@ -70,6 +71,7 @@ EXPORTS: tuple[tuple[Callable[[Start], bool], Callable[[Path, ReadOptions], Epis
     (trackers.is_tracker, trackers.read_tracker),
     (trackers.is_imagej, trackers.read_imagej),
     (trackers.is_deeplabcut, trackers.read_deeplabcut),
+    (sage.is_sage, sage.read_sage),
     (sheets.is_sensor_runs, sheets.read_sensor_runs),
     (sheets.is_sheets, sheets.read_sheets),
     (parquet.is_parquet, parquet.read_parquet),
@@ -104,6 +106,8 @@ def open_log(path: Path, options: ReadOptions = AS_IT_SAYS) -> Container | Episo
     """
     try:
         if path.is_dir():
+            if sage.is_sage_folder(path):
+                return sage.read_sage_folder(path, options)
             is_pictures = pictures.is_picture_folder(path)
             return pictures.read_picture_folder(path, options) if is_pictures else read_folder
         if not path.exists():
@@ -161,9 +165,10 @@ def may_be_log(path: Path) -> bool:
 
 
 def is_log_folder(path: Path) -> bool:
-    """Return whether a folder is one log: a bag, or an image sequence."""
+    """Return whether a folder is one log: a bag, an image sequence, or commands beside states."""
     try:
-        return is_bag_folder(path) or pictures.is_picture_folder(path)
+        is_tables = sage.is_sage_folder(path)
+        return is_tables or is_bag_folder(path) or pictures.is_picture_folder(path)
     except OSError:
         return False
 

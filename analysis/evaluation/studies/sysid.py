@@ -21,7 +21,13 @@ from typing import Any
 import numpy as np
 
 from tunenet_logs.analysis.evaluation.study import Order, Part, Row, figure, scored, table
-from tunenet_logs.analysis.evaluation.worlds.machines import MACHINES, HeldCommands, ModelLog
+from tunenet_logs.analysis.evaluation.worlds.machines import (
+    MACHINES,
+    HeldCommands,
+    Machine,
+    ModelLog,
+)
+from tunenet_logs.analysis.evaluation.worlds.servos import servo_log, slow_servo_log
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece
 from tunenet_logs.analysis.sysid.experiment import ROLLOUTS, SimulatorExperiment
@@ -330,6 +336,10 @@ def _put(spec: Any, kind: str, name: str, field: str, value: float) -> None:
 # ---- One log: tuned by ours, by the toolbox, and by the network's first step.
 
 
+# Those of all sections, then what the section of servos asks about: sizes in place of noise.
+_MACHINES = (*MACHINES, Machine("servo", servo_log, servo_log, slow_servo_log, lambda _: {}))
+
+
 @dataclass(frozen=True)
 class MachineTrial:
     """Log to be tuned."""
@@ -342,11 +352,11 @@ class MachineTrial:
 
 def rows_of(trial: MachineTrial) -> list[Row]:
     """Run a trial: a row for each model and parameter, or one alone where none was found."""
-    machine = MACHINES[trial.machine]
+    machine = _MACHINES[trial.machine]
     if trial.section == "untold":
         return _tuned(trial, machine.unidentifiable(trial.seed, trial.noise))
     log = machine.log(trial.seed, trial.noise)
-    if trial.section == "tuned":
+    if trial.section in ("tuned", "servos"):
         return _tuned(trial, log)
     if trial.section == "together":
         other = machine.again(trial.seed, trial.noise).episode
@@ -384,7 +394,7 @@ def _rows(
     """Say of each estimate what it is of; `seconds` are the processor's."""
     log = {
         "section": trial.section,
-        "machine": MACHINES[trial.machine].name,
+        "machine": _MACHINES[trial.machine].name,
         "seed": trial.seed,
         "noise": trial.noise,
         "what": what,  # of several models of one log
@@ -410,8 +420,9 @@ def _tuned(
         for one, value, ends in zip(
             tuning.parameters, tuning.trace.estimate, tuning.trace.fit.interval95, strict=True
         ):
-            is_wrong = trial.section == "wrong"  # another machine's model has none
-            truth = np.nan if is_wrong else log.truth[one.name]
+            # another machine's model has none; a servo lacks what it does not name
+            is_wrong = trial.section == "wrong"
+            truth = np.nan if is_wrong else log.truth.get(one.name, 0.0)
             found.append(
                 {
                     **_estimate(one.name, truth, value, *ends),
@@ -468,7 +479,7 @@ def run(order: Order, progress: Progress) -> Iterator[Part]:
     """Run the trials of each section."""
     for section in order.sections:
         cases = [
-            Piece(trial, name=f"{MACHINES[trial.machine].name} {trial.seed}")
+            Piece(trial, name=f"{_MACHINES[trial.machine].name} {trial.seed}")
             for trial in trials(section, order.seeds, order.targets)
         ]
         rows = scored(rows_of, {section: cases}, order, progress, (section, "log"))[section]
@@ -483,10 +494,11 @@ def trials(section: str, seeds: Sequence[int], logs: int) -> list[MachineTrial]:
     """
     found: list[MachineTrial] = []
     # Two runs of a pendulum alone: each of the others' takes minutes.
-    for machine in range(1 if section == "together" else len(MACHINES)):
+    every = {"servos": range(len(MACHINES), len(_MACHINES)), "together": range(1)}
+    for machine in every.get(section, range(len(MACHINES))):
         for seed in seeds:
             own = range(seed * 1_000_000, seed * 1_000_000 + logs)
-            for noise in NOISES if section in ("tuned", "together") else (1.0,):
+            for noise in NOISES if section in ("tuned", "servos", "together") else (1.0,):
                 share = 20 if section == "network" else 1 if noise == 1.0 else 5
                 share = 1 if section == "together" else share
                 chosen = own[: max(1, logs // share)]
@@ -502,6 +514,7 @@ _HEADS = {
     "toolbox": "The same logs by mujoco.sysid, the state at the start tuned along.",
     "untold": "One more parameter is tuned, which such a log cannot tell.",
     "wrong": "Models of other machines: none should come out ok.",
+    "servos": "Terms of servos chosen by each log (`--tune actuators`), of half to twice the size.",
     "network": "One step of a network trained on the spot, from 20 random starts a log.",
 }
 
@@ -542,9 +555,14 @@ def sysid_table(section: str, rows: Sequence[Row], head: str) -> str:
             cells = [str(logs), f"{np.median(errors):.2g}", f"{share:.2f} %"]
             lines.append([machine, address, *cells])
         else:
-            shares = errors / np.abs([row["truth"] for row in own])
+            truths = np.abs([row["truth"] for row in own])
+            shares = errors[truths > 0] / truths[truths > 0]
             covered = [row["low"] <= row["truth"] <= row["high"] for row in own]
-            cells = [str(len(own)), f"{np.median(errors):.2g}", f"{100 * np.median(shares):.2f} %"]
+            cells = [
+                str(len(own)),
+                f"{np.median(errors):.2g}",
+                f"{100 * (figure(shares, np.median) or 0.0):.2f} %",
+            ]
             cells += [f"{errors.max():.2g}", f"{100 * np.mean(covered):.1f} %"]
             cells.append(f"{figure([row['rollouts'] for row in own], np.median):.0f}")
             cells.append(f"{figure([row['seconds'] for row in own], np.median):.1f}")

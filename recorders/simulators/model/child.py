@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.formats.sandbox import limit
+from tunenet_logs.recorders.simulators.model.servo import ServoSteps, needs_steps
 
 MEMORY_BYTES = 400_000_000  # beyond what the libraries have
 
@@ -161,9 +162,13 @@ def _rolled(
     step_s: float,
     is_late: bool,
     columns: Sequence[int],
+    switches: Sequence[int] = (),
     judged_s: float = 5.0,
 ) -> tuple[int, str]:
-    """Roll out one row; return its steps, and the MuJoCo warning or error that stopped it."""
+    """Roll out one row; return its steps, and the MuJoCo warning or error that stopped it.
+
+    `switches` are actuators whose power is in the control's last columns.
+    """
     rollout = import_module("mujoco.rollout")
     mujoco: Any = import_module("mujoco")
     began_s = time.thread_time()
@@ -172,6 +177,10 @@ def _rolled(
     except mujoco.FatalError as error:
         return 0, str(error)
     nq, control = model.nq, controls[row[-1]]
+    if needs_steps(model, switches):
+        return _stepped(
+            model, data, state, control, sensed, qpos, columns, switches, steps, judged_s, began_s
+        )
     if qpos is not None:
         qpos[0] = state[1 : 1 + nq]
     driven = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
@@ -216,6 +225,62 @@ def _rolled(
         state, warmstart = reached[0, -1], data.qacc_warmstart.copy()
         _foresee(time.thread_time() - began_s, done, steps, judged_s)
     return done, why
+
+
+def _stepped(
+    model: Any,
+    data: Any,
+    state: Any,
+    control: Any,
+    sensed: Any,
+    qpos: Any,
+    columns: Sequence[int],
+    switches: Sequence[int],
+    steps: int,
+    judged_s: float,
+    began_s: float,
+) -> tuple[int, str]:
+    """Roll out one row step by step, with what its servos have beyond MuJoCo's."""
+    mujoco: Any = import_module("mujoco")
+    mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    nq, nu = model.nq, model.nu
+    if qpos is not None:
+        qpos[0] = data.qpos
+    places = np.array(columns, np.intp)
+    controls = np.flatnonzero(places < nu)
+    efforts = np.flatnonzero((places >= nu) & (places < nu + model.nv))
+    on_controls, on_efforts = places[controls], places[efforts] - nu
+    servos, powered = ServoSteps(model, data), np.ones(nu, np.bool_)
+    powers = control[:, len(places) :] > 0.5
+    changes = set((1 + np.flatnonzero((powers[1:] != powers[:-1]).any(axis=1))).tolist()) | {0}
+    kinds = [one for one in mujoco.mjtWarning.__members__.values() if one.name != "mjNWARNING"]
+    numbers = [int(one) for one in kinds]
+    seen, places_now = data.sensordata, data.qpos
+    for done in range(steps):
+        if len(controls):
+            data.ctrl[on_controls] = control[done, controls]
+        if len(efforts):
+            data.qfrc_applied[on_efforts] = control[done, efforts]
+        if len(switches) and done in changes:
+            powered[np.array(switches, np.intp)] = powers[done]
+            servos.power(powered)
+        try:
+            servos.step()
+        except mujoco.FatalError as error:
+            return done, str(error)
+        sensed[done] = seen
+        if qpos is not None:
+            qpos[done + 1] = places_now[:nq]
+        if done % 64 == 0 or done + 1 == steps:
+            why = [
+                kind.name
+                for kind, number in zip(kinds, numbers, strict=True)
+                if data.warning[number].number
+            ]
+            if why:
+                return max(done - 64, 0), ", ".join(why)
+            _foresee(time.thread_time() - began_s, done + 1, steps, judged_s)
+    return steps, ""
 
 
 def _foresee(spent_s: float, done: int, steps: int, judged_s: float) -> None:

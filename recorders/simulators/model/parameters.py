@@ -19,6 +19,17 @@ import numpy as np
 from tunenet_logs.episode import Array
 from tunenet_logs.errors import UsageError
 from tunenet_logs.recorders.simulators.base import Parameter
+from tunenet_logs.recorders.simulators.model.servo import (
+    ACTUATORS,
+    NO_LIMIT,
+    TERMS,
+    ServoTerm,
+    all_terms,
+    expected,
+    search_range,
+    table_of,
+    torque_limit,
+)
 from tunenet_logs.recorders.simulators.mujoco import mujoco
 from tunenet_logs.terminal import listed, short_name
 
@@ -94,6 +105,12 @@ FIELDS: Mapping[str, Mapping[str, ModelField]] = {
         "kp": ModelField("actuator_gainprm", "1"),
         "kv": ModelField("actuator_biasprm", "1"),
         "gear": ModelField("actuator_gear", "1", _NO_BOUND, 6),
+        "forcerange": ModelField("actuator_forcerange", "N·m", 1e-6),
+    },
+    "servo": {
+        one.field: ModelField("numeric_data" if one.slot >= 0 else "", one.unit)
+        for one in TERMS
+        if one.address.startswith("servo/")
     },
     "tendon": {
         "damping": ModelField("tendon_damping", "N·s/m"),
@@ -148,13 +165,19 @@ class ModelParameter:
     def is_of_sensor(self) -> bool:
         """Whether it is of a sensor, and nothing of the model."""
         kind = self.owner.partition("/")[0]
-        return kind in FIELDS and self.field in FIELDS[kind] and not FIELDS[kind][self.field].array
+        known = FIELDS.get(kind, {}).get(self.field)
+        return kind != "servo" and known is not None and not known.array
 
 
 def model_parameters(model: Any, wanted: Iterable[str]) -> tuple[ModelParameter, ...]:
     """Parse texts such as `joint/elbow.damping=0:5` into a model's parameters."""
     texts = [part for text in wanted for part in _of_group(model, text)]
-    found = [_parsed_parameter(model, text) for text in texts]
+    found: list[ModelParameter] = []
+    for text in texts:
+        if text.strip() == ACTUATORS:
+            found += _of_servos(model)
+        else:
+            found.append(_parsed_parameter(model, text))
     names = [one.parameter.name for one in found]
     for name in names:
         if names.count(name) > 1:
@@ -174,6 +197,42 @@ def model_parameters(model: Any, wanted: Iterable[str]) -> tuple[ModelParameter,
                     "choose a range of its sign, or give that one a range of this sign",
                 )
     return tuple(sorted(found, key=lambda one: one.field == "inertia"))  # masses scale inertias
+
+
+def _of_servos(model: Any) -> list[ModelParameter]:
+    """Return all terms of all servos, with what others of their size have."""
+    terms = all_terms(model)
+    if not terms:
+        raise UsageError(
+            f"--tune {ACTUATORS}: the model has no <position> actuator with a name, on a joint "
+            "with one",
+            "add one, or name parameters one by one, such as --tune joint/NAME.damping=0:5",
+        )
+    found: list[ModelParameter] = []
+    for address, (term, actuator) in terms.items():
+        low, high = search_range(term, expected(model, term, actuator), _given(model, address))
+        one = _parsed_parameter(model, f"{address}={low!r}:{high!r}")
+        found.append(of_servo(model, one, term, actuator))
+    return found
+
+
+def _given(model: Any, address: str) -> float:
+    """Return a term's value in the model; 0 of what a model lacks."""
+    kind, _, rest = address.partition("/")
+    name, _, field = rest.rpartition(".")
+    if kind not in ("joint", "actuator"):
+        return 0.0
+    number = element_names(model, kind).index(name)
+    get, _ = _access(model, kind, field, FIELDS[kind][field], number, 0)
+    return get(model)
+
+
+def of_servo(model: Any, one: ModelParameter, term: ServoTerm, actuator: int) -> ModelParameter:
+    """Give a parameter what is usual of servos, from which it starts where the model has none."""
+    usual = expected(model, term, actuator)
+    initial = one.given if one.given or usual is None or not term.is_base else usual[0]
+    initial = min(max(initial, one.parameter.training_range[0]), one.parameter.training_range[1])
+    return replace(one, parameter=replace(one.parameter, usual=usual, initial=initial))
 
 
 INERTIAL = ".inertial"  # of a body: mass, centre and spread, of which any values are physical
@@ -211,6 +270,8 @@ def _parsed_parameter(model: Any, text: str) -> ModelParameter:
     match = _RANGE.fullmatch(text.strip())
     assert match is not None
     address = match["address"].strip()
+    if address.partition("/")[0] == "servo":
+        return _servo_parameter(model, text, match, address)
     if address == DELAY:
         delay = _parameter(text, match, DELAY, _DELAY, 0, 0.1)
         middle = sum(delay.training_range) / 2
@@ -253,6 +314,31 @@ def _parsed_parameter(model: Any, text: str) -> ModelParameter:
     return ModelParameter(parameter, put, field_name, owner, now)
 
 
+def _servo_parameter(model: Any, text: str, match: re.Match[str], address: str) -> ModelParameter:
+    """Make the parameter of a servo's term that MuJoCo lacks."""
+    terms = all_terms(model)
+    if address not in terms or not address.startswith("servo/"):
+        own = [one for one in terms if one.startswith("servo/")]
+        near = get_close_matches(address, own, _MAX_NAMES, 0.5) or own
+        raise UsageError(
+            f"--tune {short_name(text)} names no part of a servo",
+            f"nearest: {listed(near, _MAX_NAMES)}" if near else "give a <position> a name",
+        )
+    term, actuator = terms[address]
+    low, high = search_range(term, expected(model, term, actuator), 0.0)
+    # What turns back to the other side has no least value.
+    least = -math.pi if term.field == "zero" else 0.0
+    field = ModelField("", term.unit, usual=(low, high), within={0: (least, 1e9)})
+    parameter = _parameter(text, match, address, field, 0, 0.0)
+
+    def put(one: Any, value: float) -> None:
+        table = table_of(one)
+        if table is not None and term.slot >= 0:
+            table[actuator, term.slot] = value
+
+    return ModelParameter(parameter, put, term.field, address.rpartition(".")[0])
+
+
 def _parameter(
     text: str, match: re.Match[str], address: str, field: ModelField, index: int, now: float
 ) -> Parameter:
@@ -291,15 +377,21 @@ def _parameter(
 
 
 def movable(spec: Any, tuned: Iterable[ModelParameter]) -> Any:
-    """Copy a model spec so that tuned centres of mass may move.
+    """Copy a model spec so that tuned centres of mass may move, and actuators have limits.
 
     A body whose centre of mass is at its origin may be compiled as a simple one, which has to stay
     one.
     """
     copy = spec.copy()
     for one in tuned:
+        name = one.owner.partition("/")[2]
         if one.field in ("ipos", "spread"):
-            copy.body(one.owner.partition("/")[2]).simple = False
+            copy.body(name).simple = False
+        elif one.field == "forcerange":
+            actuator = copy.actuator(name)
+            if not actuator.forcerange[0] < actuator.forcerange[1]:
+                actuator.forcerange = [-NO_LIMIT, NO_LIMIT]
+            actuator.forcelimited = True
     return copy
 
 
@@ -333,6 +425,8 @@ def _access(
     model: Any, kind: str, field_name: str, field: ModelField, number: int, index: int
 ) -> _Access:
     """Make a getter and a setter of a scalar in a compiled model."""
+    if kind == "actuator" and field_name == "forcerange":
+        return _limit_access(number)
     if kind == "actuator" and field_name in ("kp", "kv"):
         return _servo_access(model, field_name, number)
     if field_name == "spread":
@@ -361,6 +455,19 @@ def _access(
             view(one)[:] = value
 
     return lambda one: float(view(one)[0]), put
+
+
+def _limit_access(number: int) -> _Access:
+    """Access an actuator's force limit, the same to both sides."""
+
+    def get(one: Any) -> float:
+        return torque_limit(one, number)
+
+    def put(one: Any, value: float) -> None:
+        one.actuator_forcerange[number] = -value, value
+        one.actuator_forcelimited[number] = True
+
+    return get, put
 
 
 # Places of `spread` in a factor: its diagonal, then what is below.

@@ -22,6 +22,7 @@ from tunenet_logs.recorders.simulators.known import named_version
 from tunenet_logs.recorders.simulators.model.child import put_array
 from tunenet_logs.recorders.simulators.model.parameters import DELAY, TUNED_ARRAYS, ModelParameter
 from tunenet_logs.recorders.simulators.model.reading import ModelProcess
+from tunenet_logs.recorders.simulators.model.servo import put_table, servos
 from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 # ---- Sensors: a log's signals in MuJoCo
@@ -291,6 +292,7 @@ class Drive:
     # Whether its values are measured efforts, interpolated and applied at joints; else commands to
     # actuators, each of which holds until the next one (zero-order hold).
     is_effort: bool
+    is_switch: bool = False  # whether its values, 0 or 1, are the power of actuators
 
 
 @dataclass(frozen=True, eq=False)
@@ -376,6 +378,8 @@ class ModelSimulator:
         """Compiled model, with sensors of the compared signals alone."""
         spec = self.spec.copy()
         put_sensors(spec, self._distinct)
+        if any(one.owner.startswith("servo/") for one in self.tuned):
+            put_table(spec)
         return spec.compile()
 
     @property
@@ -401,8 +405,27 @@ class ModelSimulator:
     @cached_property
     def _driven(self) -> NDArray[np.intp]:
         """Indices of what is driven, among controls and then the efforts of joints."""
-        targets = [one.targets + self._model.nu * one.is_effort for one in self.drives]
+        drives = [one for one in self.drives if not one.is_switch]
+        targets = [one.targets + self._model.nu * one.is_effort for one in drives]
         return np.unique(np.concatenate([np.zeros(0, np.intp), *targets]))
+
+    @cached_property
+    def _switched(self) -> NDArray[np.intp]:
+        """Actuators whose power the log tells."""
+        targets = [one.targets for one in self.drives if one.is_switch]
+        return np.unique(np.concatenate([np.zeros(0, np.intp), *targets]))
+
+    @cached_property
+    def _zeros(self) -> tuple[tuple[int, int, int], ...]:
+        """Tuned zeros of encoders: the parameter's place, its actuator and its joint."""
+        joints = dict(servos(self._model))
+        actuators = {self._model.actuator(one).name: one for one in joints}
+        found: list[tuple[int, int, int]] = []
+        for place, one in enumerate(self.tuned):
+            kind, _, name = one.owner.partition("/")
+            if kind == "servo" and one.field == "zero":
+                found.append((place, actuators[name], joints[actuators[name]]))
+        return tuple(found)
 
     def _rolled(
         self, values: Array, *, wants_qpos: bool = False
@@ -410,19 +433,24 @@ class ModelSimulator:
         """Roll out rows; return the steps of each, what stopped it, and sensor values."""
         names = [one.parameter.name for one in self.tuned]
         delays = [float(row[names.index(DELAY)]) if DELAY in names else 0.0 for row in values]
-        known = sorted(set(delays))
+        zeros = [tuple(float(row[place]) for place, _, _ in self._zeros) for row in values]
+        told = list(zip(delays, zeros, strict=True))
+        known = sorted(set(told))
         rows: list[tuple[list[tuple[str, Array]], Array, Array, int]] = []
-        for row, delay_s in zip(values, delays, strict=True):
+        for row, own in zip(values, told, strict=True):
             qpos, qvel = self.initial.qpos.copy(), self.initial.qvel.copy()
             unsure = row[len(self.tuned) :]
             for value, (is_speed, place) in zip(unsure, self.initial.places, strict=True):
                 (qvel if is_speed else qpos)[place] = value
-            rows.append((self._changed(row), qpos, qvel, known.index(delay_s)))
+            for zero, (_, _, joint) in zip(own[1], self._zeros, strict=True):
+                qpos[self._model.jnt_qposadr[joint]] += zero
+            rows.append((self._changed(row), qpos, qvel, known.index(own)))
         return self.process.run(
             self._model,
             rows=rows,
-            controls=[self._control(delay_s) for delay_s in known],
+            controls=[self._control(*one) for one in known],
             columns=self._driven.tolist(),
+            switches=self._switched.tolist(),
             steps=self._steps,
             step_s=self._step_s,
             is_late=self._is_late,
@@ -440,17 +468,19 @@ class ModelSimulator:
             put_array(model, name, values)
         return [(name, after[name]) for name in before if (after[name] != before[name]).any()]
 
-    def _control(self, delay_s: float) -> Array:
-        """Compute the controls of each step, shape (steps, `_driven`)."""
+    def _control(self, delay_s: float, zeros: tuple[float, ...] = ()) -> Array:
+        """Compute the controls of each step, then power, shape (steps, `_driven` + `_switched`)."""
         step_s = self._step_s
         # a step kicks speeds of half a step before to those of half a step after its begin
         edges_s = np.arange(self._steps + 1, dtype=np.float64)
         edges_s = step_s * (edges_s - 0.5 * self._is_late)
-        control = np.zeros((self._steps, len(self._driven)))
+        control = np.zeros((self._steps, len(self._driven) + len(self._switched)))
         for drive in self.drives:
             since_ns = drive.signal.stamps_ns - self.initial.stamp_ns
             at_s = np.asarray(since_ns, np.float64) * 1e-9
             places = np.searchsorted(self._driven, drive.targets + self._model.nu * drive.is_effort)
+            if drive.is_switch:
+                places = len(self._driven) + np.searchsorted(self._switched, drive.targets)
             for column, place in zip(drive.columns, places, strict=True):
                 values = drive.signal.values[:, column]
                 good = np.isfinite(values)
@@ -460,6 +490,9 @@ class ModelSimulator:
                     control[:, place] = np.interp(middle_s, seconds, values)
                 else:
                     control[:, place] = held_means(seconds, values, edges_s - delay_s)
+        for zero, (_, actuator, _) in zip(zeros, self._zeros, strict=True):
+            place = np.flatnonzero(self._driven == actuator)
+            control[:, place] += zero * self._model.actuator_gear[actuator, 0]
         return control
 
     @property
@@ -490,6 +523,7 @@ class ModelSimulator:
         """Resample sensor values, shape (steps, S), as the log's signals."""
         step_s = self._step_s
         at_s = step_s * np.arange(self._steps)  # sensors see the state that a step begins with
+        offsets = {self._model.joint(joint).name: row[place] for place, _, joint in self._zeros}
         measured = self._measured(row)
         signals: dict[str, Signal] = {}
         for sensed in self.sensed:
@@ -499,6 +533,8 @@ class ModelSimulator:
                 number = self._distinct.index(sensor.whole)
                 gain, offset = measured.get(sensor._replace(sign=1.0), (1.0, 0.0))
                 track = sensor.sign * seen[:, self._model.sensor_adr[number] + sensor.axis]
+                if sensor.kind == "jointpos":
+                    track = track - offsets.get(sensor.name, 0.0)
                 track = gain * track + offset
                 late_s = step_s / 2 if sensor.kind == "jointvel" and self._is_late else 0.0
                 values[:, place] = np.interp(wanted_s, at_s - late_s, track, right=np.nan)

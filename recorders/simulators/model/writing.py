@@ -21,7 +21,6 @@ from tunenet_logs.episode import Array
 from tunenet_logs.errors import UsageError
 from tunenet_logs.recorders.simulators.model.child import put_array, set_constants
 from tunenet_logs.recorders.simulators.model.parameters import (
-    DELAY,
     FIELDS,
     TUNED_ARRAYS,
     ModelParameter,
@@ -29,6 +28,7 @@ from tunenet_logs.recorders.simulators.model.parameters import (
     movable,
 )
 from tunenet_logs.recorders.simulators.model.reading import ModelFiles, ModelProcess
+from tunenet_logs.recorders.simulators.model.servo import unwritten
 from tunenet_logs.recorders.simulators.model.text import (
     Element,
     ModelXml,
@@ -289,7 +289,7 @@ def _write_actuator(place: _Place) -> Element:
     gain, bias = place.numbers("actuator_gainprm"), place.numbers("actuator_biasprm")
     if name == "gear":
         element.put("gear", place.numbers("actuator_gear").tolist(), place.index + 1)
-    elif element.tag == "general":
+    elif element.tag == "general" and name != "forcerange":
         changed = gain != place.given.actuator_gainprm[place.number]
         if changed.any():
             element.put("gainprm", gain.tolist(), int(np.flatnonzero(changed)[-1]) + 1)
@@ -298,6 +298,10 @@ def _write_actuator(place: _Place) -> Element:
             element.put("biasprm", bias.tolist(), int(np.flatnonzero(changed)[-1]) + 1)
     elif name == "kp" and element.tag in ("position", "intvelocity"):
         element.put("kp", [float(gain[0])])
+    elif name == "forcerange":
+        element.put("forcerange", place.numbers("actuator_forcerange").tolist(), 2)
+        if not place.given.actuator_forcelimited[place.number]:
+            element.set("forcelimited", "true")
     elif name == "kv" and element.tag in ("position", "intvelocity", "velocity"):
         element.set("dampratio", None)
         element.put("kv", [float(-bias[2])])
@@ -494,11 +498,12 @@ def write_model(
     wanted = [one for one in tuned if one.parameter.name in values]
     left: dict[str, str] = {}
     good: list[ModelParameter] = []
+    model = spec.compile()
     for one in wanted:
-        if one.parameter.name == DELAY:
-            left[DELAY] = "a model has no delay: wait so long before each command"
-        elif one.is_of_sensor:
+        if one.is_of_sensor:
             left[one.parameter.name] = "it is the sensor's: a model measures without it"
+        elif why := unwritten(one.parameter.name, values, model):
+            left[one.parameter.name] = why
         else:
             good.append(one)
     attempt = _Attempt(files, spec, process, values, remarks)

@@ -120,6 +120,28 @@ def test_a_method_without_a_fit_has_no_prediction(tmp_path: Path):
     assert tabs(review) == ["overlay", "residuals", "scrub"]
 
 
+def test_what_a_joint_was_asked_for_is_drawn(tmp_path: Path):
+    servo = '<actuator><position joint="hinge" kp="0.001"/></actuator></mujoco>'
+    path = model_source(tmp_path).path
+    path.write_text(path.read_text().replace("</mujoco>", servo))
+    episode = pendulum_episode()
+    stamps_ns = episode.signals["/joint_states.position"].stamps_ns[::40]
+    values = np.arange(len(stamps_ns), dtype=float)[:, None] * 0.1
+    asked = Signal("commands.position", stamps_ns, values, ("hinge",), "rad", drives=True)
+    episode = replace(episode, signals={**episode.signals, asked.name: asked})
+    source = ModelSource(path, ("joint/hinge.damping=0:.2",))
+    tuning = tune_episode(episode, TuneOptions(source=source, method="brent", iterations=2))
+    data = simulator_review_data(tuning)
+    shown = {column.name: column for column in data.columns}
+    commanded = shown["position hinge"].commanded
+    assert commanded is not None
+    places = np.searchsorted(asked.seconds, shown["position hinge"].seconds, side="right") - 1
+    np.testing.assert_allclose(commanded, values[places, 0])
+    assert shown["velocity hinge"].commanded is None
+    names = reviewed(tuning, tmp_path).entities
+    assert any(one.endswith("/commanded") for one in names)
+
+
 def test_an_object_has_no_scene(tmp_path: Path):
     review = reviewed(Cart().tuned(), tmp_path)
     assert tabs(review) == ["overlay", "residuals", "scrub", "held-out prediction"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -87,6 +88,93 @@ def test_a_name_that_fits_as_it_is_goes_before_one_that_fits_without_its_prefix(
     found = match(signal("/joint_states.position", ("other/elbow", "elbow")))
     assert sensed(found) == {"/joint_states.position": ["elbow=jointpos elbow"]}
     assert "other/elbow" in found.unused[0]
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [("main_shoulder", "main_elbow"), ("shoulder.pos", "elbow.pos"), ("a.shoulder.p", "a.elbow.p")],
+)
+def test_words_that_all_joints_share_are_no_part_of_their_names(columns: tuple[str, ...]):
+    found = match(signal("/joint_states.position", columns))
+    assert [one.name for one in found.sensed[0].sensors] == ["shoulder", "elbow"]
+    longer = model_of(PARTS.replace('name="', 'name="arm_'), "")
+    assert len(match(STATES, model=longer).sensed[0].sensors) == 2
+    legs = match(signal("/a.position", ("left_elbow", "left_knee", "elbow")))
+    assert sensed(legs) == {"/a.position": ["elbow=jointpos elbow"]}
+    with pytest.raises(NotFoundError):  # what the log and the model begin with differs
+        match(signal("/a.position", ("leg_shoulder", "leg_elbow")), model=longer)
+
+
+ONE_EACH = """<actuator><position name="a" joint="shoulder" kp="9"/>
+  <position name="b" joint="elbow" kp="9"/></actuator>"""
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_joints_without_names_go_by_their_numbers(first: int):
+    columns = tuple(f"joint{first + at}" for at in (1, 0))
+    states = signal("/joints.position", columns)
+    commands = signal("/commands.position", columns, drives=True)
+    model = model_of(more=ONE_EACH)
+    found = match(states, commands, model=model)
+    assert sensed(found)["/joints.position"][0] == f"{columns[0]}=jointpos elbow"
+    assert driven(found) == [("/commands.position", [0, 1], [1, 0], False)]
+    assert [words for words in found.guessed if "by their numbers" in words]
+    stem = signal("/joints.position", ("arm_state_0", "arm_state_1"))
+    assert [one.name for one in match(stem, model=model).sensed[0].sensors] == ["shoulder", "elbow"]
+    for others in (("joint1", "joint3"), ("joint1", "joint2", "joint3"), ("joint2", "joint3")):
+        with pytest.raises(NotFoundError):
+            match(signal("/joints.position", others), model=model)
+    turned = (
+        ONE_EACH.replace("shoulder", "x").replace("elbow", "shoulder").replace('"x"', '"elbow"')
+    )
+    with pytest.raises(NotFoundError):  # the first of which order?
+        match(states, model=model_of(more=turned))
+    short = PARTS.replace('name="elbow"', 'name="elbow" range="-.1 .1" limited="true"')
+    with pytest.raises(NotFoundError):
+        match(replace(states, values=states.values + 90), model=model_of(short, ONE_EACH))
+
+
+def test_one_run_of_several_is_compared():
+    names = [f"{topic}.episode{at}.position" for at in (2, 3) for topic in ("action", "state")]
+    log = [signal(name, drives=name.startswith("action")) for name in names]
+    found = match(*log, model=model_of(more=ONE_EACH))
+    assert list(sensed(found)) == ["state.episode2.position"]
+    assert [name for name, *_ in driven(found)] == ["action.episode2.position"]
+    assert any("episode3: other runs than episode2" in words for words in found.unused)
+
+
+def test_a_prefix_maps_a_whole_group():
+    joints = signal("/joints.position", ("main_upper", "main_lower", "other"))
+    model = model_of(
+        PARTS.replace('"shoulder"', '"arm_upper"').replace('"elbow"', '"arm_lower"'), ""
+    )
+    found = match(joints, model=model, told={"main_*": "joint/arm_*"})
+    wanted = ["main_upper=jointpos arm_upper", "main_lower=jointpos arm_lower"]
+    assert sensed(found) == {"/joints.position": wanted}
+    for told in ({"main_*": "joint/x"}, {"leg_*": "joint/*"}, {"main_*": "joint/leg_*"}):
+        with pytest.raises(UsageError) as caught:
+            match(joints, model=model, told=told)
+        assert caught.value.remedy
+
+
+def test_per_cent_are_of_the_models_ranges_and_no_unit_is_none():
+    limited = PARTS.replace(
+        'name="elbow"', 'name="elbow" range="-57.29578 114.59156" limited="true"'
+    )
+    model = model_of(limited)
+    states = signal("/joints.position", ("elbow", "shoulder"), "%", values=[[-100, 1], [50, 2]])
+    commands = signal("/commands.position", ("elbow",), "%", values=[[0], [100]], drives=True)
+    found = match(states, commands, model=model)
+    assert sensed(found) == {"/joints.position": ["elbow=jointpos elbow"]}
+    np.testing.assert_allclose(found.sensed[0].signal.values[:, 0], [-1, 1.25], atol=1e-6)
+    np.testing.assert_allclose(found.drives[0].signal.values[:, 0], [0.5, 2], atol=1e-6)
+    assert "shoulder: per cent of a range that the model's joint does not have" in str(found.unused)
+    assert any("per cent" in words for words in found.guessed)
+    untold = signal("/commands.position", ("elbow",), "", drives=True)
+    told = {"/commands": "commands"}
+    for one in (match(STATES, untold), match(STATES, untold, told=told)):
+        assert not one.drives
+        assert "nothing tells its unit; say --angle-unit" in one.unused[0]
 
 
 def test_what_could_be_several_is_none():
@@ -251,10 +339,10 @@ def test_what_a_user_says_wrongly_is_one_line(key: str, target: str, words: str)
 
 def test_what_matches_nothing_names_both_sides():
     with pytest.raises(NotFoundError) as caught:
-        match(signal("/joint_states.position", ("j1", "j2")))
-    assert "log: j1, j2; model: joints shoulder, elbow, block, bodies upper" in str(caught.value)
+        match(signal("/joint_states.position", ("hip", "knee")))
+    assert "log: hip, knee; model: joints shoulder, elbow, block, bodies upper" in str(caught.value)
     key, _, target = caught.value.remedy.partition("--map ")[2].partition("=")
-    offered = match(signal("/joint_states.position", ("j1", "j2")), told={key: target})
+    offered = match(signal("/joint_states.position", ("hip", "knee")), told={key: target})
     assert "/joint_states" in "".join(offered.used)
     with pytest.raises(NotFoundError, match="log: nothing"):
         match()

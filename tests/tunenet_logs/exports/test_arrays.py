@@ -34,6 +34,7 @@ from tests.library_writers import (
 from tests.reading import one, read, refusal, skipped, tuned
 from tunenet_logs.analysis.payload.arm_log import read_arm_log
 from tunenet_logs.errors import LogError, NotFoundError
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.simulators.arm.description import jaco
 
@@ -55,9 +56,9 @@ def test_arrays_by_their_names(tmp_path: Path, name: str):
     np.testing.assert_allclose(signal.values, BALL, atol=1e-12)
     assert (signal.stamps_ns[1], signal.unit, signal.is_position) == (5_000_000, "", True)
     episode = read(tmp_path / name, {"time": T, "q": Q, "tau": Q + 10, "q_des": Q + 20})
-    assert set(episode.signals) == {"joints.position", "joints.effort"}
+    assert set(episode.signals) == {"joints.position", "joints.effort", "commands.position"}
     np.testing.assert_allclose(episode.signals["joints.effort"].values, Q + 10)
-    assert skipped(episode)["q_des 0 to 6"] == "commanded, not measured"
+    np.testing.assert_allclose(episode.signals["commands.position"].values, Q + 20)
 
 
 @every_kind
@@ -329,14 +330,29 @@ def lerobot(folder: Path, *, version: int = 3) -> Path:
 def test_episodes_of_a_lerobot_data_set(tmp_path: Path, version: int):
     log = lerobot(tmp_path, version=version)
     episode = read_episode(log)
-    assert set(episode.signals) == {"observation.state.episode0", "observation.state.episode1"}
-    signal = episode.signals["observation.state.episode1"]
-    assert (signal.columns, signal.unit) == (("pan.pos", "lift.pos", "gripper.pos"), "")
+    assert set(episode.signals) == {
+        f"{topic}.episode{number}{quantity}"
+        for number in (0, 1)
+        for topic, quantity in (
+            *(("observation.state", ".position"), ("observation.state.gripper", ".position")),
+            ("action", ""),
+        )
+    }
+    signal = episode.signals["observation.state.episode1.position"]
+    assert (signal.columns, signal.unit, signal.drives) == (("pan", "lift"), "", False)
     assert signal.stamps_ns[29] == round(29e9 / 30)
-    np.testing.assert_allclose(signal.values[0], [30, 40, 50])
-    assert "holds no torques as a rule" in skipped(episode)["action"]
-    with pytest.raises(NotFoundError, match="holds no torques as a rule"):
+    np.testing.assert_allclose(signal.values[0], [30, 40])
+    gripper = episode.signals["observation.state.gripper.episode1.position"]
+    assert (gripper.columns, gripper.unit) == (("gripper",), "%")
+    np.testing.assert_allclose(gripper.values[0], 0.0)  # 50 of 0 to 100: the middle
+    assert episode.signals["action.episode0"].drives
+    assert any("say --angle-unit" in words for words in episode.warnings)
+    with pytest.raises(NotFoundError, match="no joint torques"):
         read_arm_log(episode, jaco())
+    said = read_episode(log, ReadOptions(angle_unit="deg"))
+    signal = said.signals["observation.state.episode1.position"]
+    assert signal.unit == "rad"
+    np.testing.assert_allclose(signal.values[0], np.radians([30, 40]))
     with pytest.raises(LogError, match=re.escape(f"is a LeRobot data set; name {log}")):
         read_episode(tmp_path)
 
@@ -349,7 +365,9 @@ def test_a_data_sets_description_may_be_damaged_and_lies_within_it(tmp_path: Pat
         info.write_text(text)
         episode = read_episode(log)
         assert "meta/info.json is damaged: joints go by their numbers" in episode.warnings
-        assert next(iter(episode.signals.values())).columns == ("joint1", "joint2", "joint3")
+        assert episode.signals["observation.state.episode0"].columns == (
+            *("joint1", "joint2", "joint3"),
+        )
     info.rename(tmp_path / "info.json")
     info.symlink_to(tmp_path / "info.json")
     assert any("no meta/info.json" in warning for warning in read_episode(log).warnings)
@@ -372,7 +390,9 @@ def test_tables_in_parquet(tmp_path: Path):
     np.testing.assert_allclose(signals["ball"].values, signals["hand"].values)
     stems = ("actual_q", "target_q", "target_moment")
     robot = {f"{stem}_{joint}": T + joint for stem in stems for joint in range(6)}
-    assert set(read(path, {"timestamp": T} | robot).signals) == {"joints.position"}
+    assert set(read(path, {"timestamp": T} | robot).signals) == {
+        *("joints.position", "commands.position")
+    }
     whole = path.read_bytes()
     for cut in (4, 100, -1, -100):
         path.write_bytes(whole[:cut])

@@ -82,6 +82,17 @@ class JointColumn:
     scale: float
     number: str = ""  # the digits in the name where they alone identify the joint
     is_bare: bool = False  # whether the name identifies no joint
+    # whether it is what was asked for, not what was measured; then `quantity` is "" where the name
+    # does not say it
+    is_command: bool = False
+
+
+@dataclass(frozen=True)
+class SwitchColumn:
+    """Whether a joint's motor is on: a command counts only while it is."""
+
+    label: str  # the joint; "" for all
+    reason: str  # why it is not used where nothing commands its joint
 
 
 @dataclass(frozen=True)
@@ -129,6 +140,7 @@ Meaning = (
     | DateColumn
     | CoordinateColumn
     | JointColumn
+    | SwitchColumn
     | FrameColumn
     | ImpactColumn
     | ImpactNumberColumn
@@ -231,7 +243,7 @@ _NO_THINGS = words_in(
 JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N·m", "current": "A"}
 # What JointState calls them, and the current of a joint's motor.
 _QUANTITIES = {
-    **dict.fromkeys(("effort", "torque", "tau"), "effort"),
+    **dict.fromkeys(("effort", "torque", "tau", "trq", "tor"), "effort"),
     **dict.fromkeys(("position", "pos", "angle", "theta", "q"), "position"),
     **dict.fromkeys(("velocity", "vel", "qdot", "qd", "dq"), "velocity"),
     "current": "current",
@@ -240,24 +252,36 @@ _QUANTITIES = {
 _OF_FIELDS = {"velocities": "velocity", "speed": "velocity", "moment": "effort"}
 # A quantity of a joint with the joint's number, perhaps: "effort3", "efforts", "q1".
 _QUANTITY = re.compile(rf"({'|'.join(sorted(_QUANTITIES, key=len, reverse=True))})s?(\d*)")
-_JOINT = ("joint", "j")  # words for any joint, beside its number
+_JOINT = ("joint", "j", "dof")  # words for any joint, beside its number
 # Words of commanded quantities.
 COMMANDED = words_in(
-    "target tgt desired des command commanded cmd setpoint goal reference ref planned action"
+    "target tgt desired des command commands commanded cmd setpoint goal reference ref planned "
+    "action actions ctrl"
 )
+# Of these, words of lists of joints' commands, whose places are joints even where they are three.
+_COMMAND_LISTS = words_in("action actions ctrl command commands cmd")
+# Why a command is not used whose joint the file does not have.
+ASKED_OF_NONE = "it is what was asked for, and no joint here is called so"
 # Words of a controller's estimates: a torque without the arm's own, or computed by its model.
 MODELLED = words_in(
     "ext hat est estimated estimate external predicted pred model modelled modeled computed "
     "calculated"
 )
 # Words of measured quantities.
-MEASURED = frozenset(("actual", "act", "measured", "meas", "msr", "feedback", "fb"))
+MEASURED = frozenset(("actual", "act", "measured", "meas", "msr", "feedback", "fb", "present"))
 # Words that make a joint's quantity another one.
 _NO_JOINTS = words_in(
     "deviation ratio error err limit limits percent percentage std stddev var variance cov "
     "covariance noise scaling temperature temp voltage max min mode status rpm hz lbf volt volts "
-    "counts ticks rev revs w quat quaternion"
+    "counts ticks rev revs w quat quaternion enable enabled disable disabled on off switch flag "
+    "valid fault reached gain gains kp ki kd"
 )
+# What the switches of motors are called.
+_SWITCHES = {
+    (what, word)
+    for what in ("torque", "motor", "servo")
+    for word in ("enable", "enabled", "on", "active")
+}
 _ANGULAR = ("ang", "angular")  # words that are no joint's name: "AngVel"
 # Quantities that a unit of angles may stand for: people write deg for deg/s too.
 _TURNS = ("position", "velocity")
@@ -376,9 +400,15 @@ def _numbered_thing(words: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]
     return ((found[2],), (*words[:-1], found[1])) if found else ((), words)
 
 
-def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | None:
+def _joint_of(
+    words: Words,
+) -> JointColumn | JointNameColumn | SwitchColumn | UnusedColumn | None:
     """Interpret words as the name of a joint quantity; None if they are not."""
     lower = lowered(words)
+    if lower[-2:] in _SWITCHES:
+        joint = _joint_column("", _apart(words[:-2])[1], "", "", 1.0, is_command=False)
+        label = "" if joint.is_bare else joint.label
+        return SwitchColumn(label, "it is no effort of a joint, but a switch of its motor")
     if found := re.fullmatch(r"field name(\d+)", " ".join(lower)):
         return JointNameColumn(found[1])
     count, quantities, scale = _joint_unit(lower)
@@ -386,7 +416,7 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
     matches = [(at, _QUANTITY.fullmatch(word)) for at, word in enumerate(lowered(words))]
     at, match = next((one for one in reversed(matches) if one[1]), (0, None))
     if match is None:
-        return None
+        return None if count else _command_of(words)
     quantity = _QUANTITIES[match[1]]
     if quantity not in quantities or (not count and lower[-1] in LENGTHS):
         return UnusedColumn(
@@ -395,13 +425,46 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
     if why := _no_joint(quantity, lowered((*words[:at], match[2], *words[at + 1 :]))):
         return why
     group, joint = _apart((*words[:at], *words[at + 1 :]))
-    digits = match[2] or "".join(word for word in joint[-1:] if word.isdecimal())
     joint = tuple(word for word in joint if word.lower() not in (*MEASURED, *_ANGULAR))
+    others = lowered((*words[:at], *words[at + 1 :]))
+    is_command = not COMMANDED.isdisjoint(map(_without_digits, others))
+    return _joint_column(group, joint, match[2], quantity, scale, is_command=is_command)
+
+
+def _joint_column(
+    group: str, joint: Words, digits: str, quantity: str, scale: float, *, is_command: bool
+) -> JointColumn:
+    """Make a column of the words of a joint's name, and of the digits behind its quantity."""
+    if is_command:  # target2 is of joint 2
+        tails = [word for word in joint if _without_digits(word).lower() in COMMANDED]
+        digits = digits or next((one for word in tails if (one := _digits(word))), "")
+        joint = tuple(word for word in joint if word not in tails)
+    number = digits or next((word for word in joint[-1:] if word.isdecimal()), "")
     named = [word for word in joint if word.lower() not in _JOINT and not word.isdecimal()]
-    if not named and digits:
-        return JointColumn(group, f"joint{digits}", quantity, scale, number=digits)
-    label = "_".join(joint) + match[2]
-    return JointColumn(group, label or "joint1", quantity, scale, is_bare=not label)
+    if not named and number:
+        label = f"joint{number}"
+        return JointColumn(group, label, quantity, scale, number=number, is_command=is_command)
+    label = "_".join(joint if named else ()) + digits
+    label, is_bare = label or "joint1", not label
+    return JointColumn(group, label, quantity, scale, is_bare=is_bare, is_command=is_command)
+
+
+def _command_of(words: Words) -> JointColumn | None:
+    """Interpret words as a joint's command that does not say its quantity; None if they are not."""
+    group, joint = _apart(words)
+    if COMMANDED.isdisjoint(map(_without_digits, lowered(joint))):
+        return None
+    if _NO_JOINTS.intersection(lowered(joint)) or not MODELLED.isdisjoint(lowered(joint)):
+        return None
+    return _joint_column(group, joint, "", "", 1.0, is_command=True)
+
+
+def _without_digits(word: str) -> str:
+    return word.rstrip("0123456789")
+
+
+def _digits(word: str) -> str:
+    return word[len(_without_digits(word)) :]
 
 
 def _joint_unit(lower: Words) -> tuple[int, Sequence[str], float]:
@@ -412,11 +475,15 @@ def _joint_unit(lower: Words) -> tuple[int, Sequence[str], float]:
     return 0, tuple(JOINT_UNITS), 1.0
 
 
+def states_angle(name: str) -> bool:
+    """Return whether a joint column's name states its unit."""
+    words = [word for word in lowered(words_of(name, camel=False)) if not word.isdecimal()]
+    return _joint_unit(tuple(words))[0] > 0
+
+
 def _no_joint(quantity: str, others: Words) -> UnusedColumn | None:
-    """Return why a quantity with these words beside it was not measured at a joint."""
-    bare = {word.rstrip("0123456789") for word in others}
-    if not COMMANDED.isdisjoint(bare):
-        return UnusedColumn("it is what was asked for, not what was measured")
+    """Return why a quantity with these words beside it is none of a joint, or only estimated."""
+    bare = set(map(_without_digits, others))
     if not MODELLED.isdisjoint(bare):
         return UnusedColumn("it is the controller's estimate, not a measurement")
     if _NO_JOINTS.intersection(others):
@@ -433,6 +500,8 @@ def _apart(words: Words) -> tuple[str, Words]:
     for at in range(1, len(words)):
         if lower[at - 1] == "joint" and lower[at] in ("state", "states"):
             return "_".join(words[: at - 1]) or "joints", words[at + 1 :]
+    if lower[:2] == ("observation", "state"):  # of LeRobot's
+        return "joints", words[2:]
     return "joints", words[1:] if lower[:1] == ("field",) else words
 
 
@@ -463,7 +532,9 @@ _WHOLE: dict[Words, tuple[str, Origin]] = {
     ("et",): ("effort", Origin.MODELLED),
 }
 # Words that only say that it is an arm's.
-_NEUTRAL = words_in("joint joints axis j arm robot state states filtered raw motor")
+_NEUTRAL = words_in(
+    "joint joints axis j dof dofs arm robot state states filtered raw motor motors servo servos"
+)
 _SIDES = ("left", "right")  # of which arm a column is, where there are two
 # What Universal Robots calls its joints, base to tool.
 _UR_JOINTS = (
@@ -488,6 +559,11 @@ class JointField:
     columns: Mapping[int, int]  # column index by joint number as in the names
 
     @property
+    def is_command(self) -> bool:
+        """Whether it is what was asked for, not what was measured."""
+        return self.origin == Origin.COMMANDED
+
+    @property
     def title(self) -> str:
         """Column range in words."""
         numbers = sorted(self.columns)
@@ -506,7 +582,7 @@ def joint_fields(names: Sequence[str]) -> tuple[JointField, ...]:
 
 def is_controllers(names: Sequence[str], fields: Iterable[JointField]) -> bool:
     """Return whether a controller wrote these names: measured beside other values, or q[0], ..."""
-    several = [field for field in fields if len(field.columns) > 1]
+    several = [field for field in fields if len(field.columns) > 1 and field.quantity]
     return any(
         field.origin != Origin.PLAIN or any("[" in names[at] for at in field.columns.values())
         for field in several
@@ -525,23 +601,29 @@ def with_franka_times(names: Sequence[str]) -> Sequence[str]:
 def choose_fields(
     fields: Sequence[JointField],
 ) -> tuple[list[JointField], list[tuple[JointField, str]], Mapping[int, str]]:
-    """Choose one field per quantity: measured before commanded, never a model's output.
+    """Choose a measured and a commanded field per quantity, never a model's output.
 
     Return those, the others with the reason, and the joints' names by number.
     """
     used: list[JointField] = []
     unused: list[tuple[JointField, str]] = []
-    for key in dict.fromkeys((field.side, field.quantity) for field in fields):
+    for key in dict.fromkeys((one.side, one.quantity, one.is_command) for one in fields):
         ranked = sorted(
-            (field for field in fields if (field.side, field.quantity) == key),
+            (one for one in fields if (one.side, one.quantity, one.is_command) == key),
             key=lambda field: field.origin,
         )
         best = ranked[0]
         equals = [field for field in ranked if field.origin == best.origin]
-        is_clear = len(equals) == 1 and best.origin <= Origin.PLAIN
+        is_clear = len(equals) == 1 and best.origin <= Origin.COMMANDED and not _is_model(best)
+        if not best.quantity:  # of the joints whose state is there
+            is_clear = is_clear and any(
+                one.columns.keys() == best.columns.keys() and one.quantity
+                for one in fields
+                if one.side == best.side and not one.is_command
+            )
         if is_clear:
             used.append(best)
-        unused += [(field, _reason(field, equals, is_clear)) for field in ranked[is_clear:]]
+        unused += [(field, _reason(field, equals)) for field in ranked[is_clear:]]
     zero = any(0 in field.columns for field in fields)
     numbers = sorted({number for field in fields for number in field.columns})
     labels = {number: f"joint{number + zero}" for number in numbers}
@@ -550,17 +632,24 @@ def choose_fields(
     return used, unused, labels
 
 
-def _reason(field: JointField, equals: Sequence[JointField], has_better: bool) -> str:
+def _is_model(field: JointField) -> bool:
+    """Return whether it is a torque that a controller computes, such as UR's target_moment."""
+    return field.quantity == "effort" and "moment" in field.stem
+
+
+def _reason(field: JointField, equals: Sequence[JointField]) -> str:
     """Return why a field is not used; `equals` share the best origin."""
-    if field.quantity == "effort" and "moment" in field.stem:
+    if _is_model(field):
         return "the controller's own model, with the payload that was set in it: no measurement"
-    if field.origin == Origin.COMMANDED:
-        remedy = "" if has_better else f"; record the measured {field.quantity}"
-        return f"commanded, not measured{remedy}"
+    if not field.quantity and len(equals) == 1:
+        return ASKED_OF_NONE
     if field.origin == Origin.MODELLED:
         return "the controller's estimate, not a measurement"
     if field in equals:
         others = " and ".join(one.stem for one in equals)
+        if field.is_command:
+            what = f"commanded {field.quantity}" if field.quantity else "command"
+            return f"{others} may all be the {what}; leave out all but one"
         return (
             f"{others} may all be the {field.quantity}; say which: --columns {field.quantity}_1=..."
         )
@@ -582,7 +671,7 @@ def _parsed(name: str) -> tuple[tuple[str, str, str, Origin, float], int] | None
     lower = lower[: len(lower) - count]
     side = next((word for word in lower if word in _SIDES), "")
     meaning = _meaning([word for word in lower if word not in _SIDES])
-    if meaning is None or meaning[0] not in fitting:
+    if meaning is None or (meaning[0] and meaning[0] not in fitting):
         return None
     return (stem, side, *meaning, scale), number
 
@@ -598,8 +687,10 @@ def _meaning(words: Sequence[str]) -> tuple[str, Origin] | None:
     known |= {f"{word}s": quantity for word, quantity in known.items()}
     quantities = [known[word] for word in rest if word in known]
     origins = [_ORIGINS[word] for word in rest if word in _ORIGINS]
-    if len(quantities) + len(origins) != len(rest) or not quantities:
+    if len(quantities) + len(origins) != len(rest) or not rest:
         return None
+    if not quantities:  # a command alone, such as action[0]
+        return ("", Origin.COMMANDED) if set(origins) == {Origin.COMMANDED} else None
     if len(quantities) == 2 and quantities[0] == "current":  # as it is now, not a motor's
         quantities, origins = quantities[1:], [*origins, Origin.MEASURED]
     if len(quantities) != 1:
@@ -823,6 +914,8 @@ def _size(meaning: Meaning) -> float | None:
     """Return the size of a meaning's unit; None where it has no values."""
     if isinstance(meaning, TimeColumn):
         return meaning.power or 0
+    if isinstance(meaning, JointColumn) and not meaning.quantity:
+        return None
     return meaning.scale if isinstance(meaning, CoordinateColumn | JointColumn) else None
 
 
@@ -921,6 +1014,7 @@ def _meaning_as(target: str, name: str) -> Meaning:
             return ImpactColumn(found.power) if target == "times" else found
     else:
         quantity, _, number = target.partition("_")
+        quantity += "_position" if quantity == "command" and unit else ""
         found = meaning_of(f"joint{number}_{quantity}" + (f" ({unit})" if unit else ""))
         if isinstance(found, JointColumn):
             return found
@@ -944,6 +1038,7 @@ def short_list(names: Sequence[str]) -> str:
 # ---- Lists: a column of two or three values is a place, others are joints.
 
 # What people call quantities of a ball: an array of two or three columns is no arm's.
+_OF_JOINTS = words_in("joint joints dof dofs motor motors servo servos")
 _OF_A_THING = {"pos", "position", "positions", "vel", "velocity", "velocities", "speed"}
 
 
@@ -951,8 +1046,11 @@ def spread_names(name: str, width: int) -> tuple[list[str], list[str]]:
     """Name the columns of a list: their own names, and the names to interpret."""
     own = [f"{name}[{at}]" for at in range(width)]
     words = words_of(name, camel=False)
-    is_place = bool(_OF_A_THING.intersection(lowered(words)))
-    if width not in (2, 3) or (joint_fields(own) and not is_place):
+    lower = lowered(words)
+    is_place = bool(_OF_A_THING.intersection(lower)) and _OF_JOINTS.isdisjoint(lower)
+    is_command = not _COMMAND_LISTS.isdisjoint(lower)
+    has_joints = is_command or any(one.quantity for one in joint_fields(own))
+    if width not in (2, 3) or (has_joints and not is_place):
         return own, own
     bare = name
     unit = ""

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import isclose
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tunenet_logs.episode import (
+    COMMANDS,
     FRAME_NS,
     INCOMPLETE,
     UNREADABLE,
@@ -33,6 +35,16 @@ from tunenet_logs.episode import (
     in_proportion,
 )
 from tunenet_logs.errors import EXPORT_AGAIN, LogError
+from tunenet_logs.formats.columns.angles import (
+    PERCENT,
+    REMEDY,
+    SHOWING,
+    UNTOLD,
+    AngleUnit,
+    of_joint,
+    told_by_values,
+    unit_of,
+)
 from tunenet_logs.formats.columns.cells import (
     MAX_COLUMNS,
     MAX_NS,
@@ -43,6 +55,7 @@ from tunenet_logs.formats.columns.cells import (
     unit_of_times,
 )
 from tunenet_logs.formats.columns.names import (
+    ASKED_OF_NONE,
     IN_PIXELS,
     JOINT_UNITS,
     LENGTHS,
@@ -57,6 +70,7 @@ from tunenet_logs.formats.columns.names import (
     Meaning,
     Reading,
     RunColumn,
+    SwitchColumn,
     TimeColumn,
     UnusedColumn,
     Words,
@@ -72,6 +86,7 @@ from tunenet_logs.formats.columns.names import (
     said_reading,
     short_list,
     spread_names,
+    states_angle,
     with_franka_times,
     words_of,
 )
@@ -178,11 +193,22 @@ def unique_names(names: Iterable[str], form: str = "{} {}", longest: int = 60) -
 
 
 class Used(NamedTuple):
-    """One column of values: `place` of the signal, in its unit, is `scale` times the column's."""
+    """One column: `place` of the signal, in its unit, is `scale` times what exceeds `zero`."""
 
     column: int
     place: int
     scale: float
+    zero: float = 0.0  # in the column's own unit
+
+
+def joints_name(robot: str, quantity: str, *, is_command: bool) -> str:
+    """Name the signal of a robot's joints: "joints.position", "commands.position", "commands".
+
+    Commands have this one home, whatever a file calls them; `quantity` is "" where it is unstated.
+    """
+    if is_command:
+        robot = COMMANDS if robot == "joints" else f"{robot}.{COMMANDS}"
+    return f"{robot}.{quantity}" if quantity else robot
 
 
 def name_of_run(name: str, run: str) -> str:
@@ -207,6 +233,7 @@ class Group:
     stamp: Clock | None = None
     is_track: bool = False  # whether it is a position, which a row holds whole or not at all
     is_impacts: bool = False  # whether its samples are impacts: the clock's times, with the value 1
+    drives: bool = False  # whether it is a command; see `Signal.drives`
     # of the joints named by a number alone, by column
     numbers: Mapping[str, str] = field(default_factory=dict)
     note: str = ""  # for the user
@@ -252,6 +279,12 @@ class ColumnPlan:
         used = [one.column for group in self.groups for one in group.used]
         sure = [group.sure[0] for group in self.groups if group.sure]
         return tuple(dict.fromkeys((*used, *sure)))
+
+    @property
+    def switches(self) -> tuple[int, ...]:
+        """Indices of the columns that are switches, true or false."""
+        power = [group for group in self.groups if group.name.endswith(POWER)]
+        return tuple(dict.fromkeys(one.column for group in power for one in group.used))
 
     @property
     def needed(self) -> tuple[int, ...]:
@@ -324,12 +357,19 @@ def layout_of(
         stamps = [one for is_header, one in clocks if is_header]
         arm = [] if run else _arms_of(fields, clock, unused)
         found = [
+            *filter(None, map(partial(_power_of, part), arm)),
             *tracks_of(plain, part, clock, stamps, unused),
             *joints_of(plain, part, clock, stamps, unused),
             *(_impact_group(clock) for one in part.values() if isinstance(one, ImpactColumn)),
         ]
         if IN_PIXELS.intersection(names):
             found = [replace(one, unit=one.unit or "px") if one.is_track else one for one in found]
+        power = {one.column for each in found if each.name.endswith(POWER) for one in each.used}
+        unused |= {
+            names[at]: one.reason
+            for at, one in part.items()
+            if isinstance(one, SwitchColumn) and at not in power
+        }
         known = {one.name for one in arm}
         for one in (one for one in found if one.name in known):
             unused.update(
@@ -415,6 +455,10 @@ def plain_words(name: str) -> Words:
 # ---- Joints of a header: by their names, or the fields of a controller.
 
 
+POWER = ".power"  # ends the name of what says when motors are on
+_BARE = "it says not of what; name it x, y, z, height_m or JOINT_position"
+
+
 def joints_of(
     header: Sequence[str],
     meanings: Mapping[int, Meaning],
@@ -424,37 +468,67 @@ def joints_of(
 ) -> list[Group]:
     """Group joint columns by robot and quantity; all groups of one robot have the same joints."""
     values = {at: meaning for at, meaning in meanings.items() if isinstance(meaning, JointColumn)}
-    if all(one.is_bare and one.quantity != "effort" for one in values.values()):
-        for at in values:
-            unused[header[at]] = "it says not of what; name it x, y, z, height_m or JOINT_position"
-        return []
-    tables: dict[tuple[str, str], dict[str, list[int]]] = {}
+    states = [one for one in values.values() if not one.is_command]
+    # A bare position is a servo's where a bare command stands beside it.
+    has_bare = any(one.is_bare for one in states)
+    is_servo = any(one.is_bare and one.is_command for one in values.values())
+    is_servo = is_servo and any(one.is_bare and one.quantity == "position" for one in states)
+    if not is_servo and all(one.is_bare and one.quantity != "effort" for one in states):
+        for at in [at for at, one in values.items() if one.is_bare]:
+            unused[header[at]] = ASKED_OF_NONE if values.pop(at).is_command else _BARE
+        has_bare = False
+    known = {(one.group, one.label) for one in states}
+    for at, one in list(values.items()):
+        is_of_none = not one.quantity and (one.group, one.label) not in known
+        is_vague = one.is_bare and not has_bare and len(known) > 1
+        if one.is_command and (is_of_none or is_vague):
+            unused[header[at]] = ASKED_OF_NONE
+            del values[at]
+    tables: dict[tuple[str, bool, str], dict[str, list[int]]] = {}
     for at, meaning in values.items():
-        found = tables.setdefault((meaning.group, meaning.quantity), {})
-        found.setdefault(meaning.label, []).append(at)
-    for (_, quantity), labels in tables.items():
+        key = meaning.group, meaning.is_command, meaning.quantity
+        tables.setdefault(key, {}).setdefault(meaning.label, []).append(at)
+    for (_, is_command, quantity), labels in tables.items():
         for label in [label for label, found in labels.items() if len(found) > 1]:
+            what = f"{'commanded ' if is_command else ''}{quantity}" if quantity else "command"
             for at in labels.pop(label):
-                unused[header[at]] = f"several columns are the {quantity} of {label!r}"
-    robots: dict[str, dict[str, int]] = {}
-    for (robot, _), labels in tables.items():
-        rows = robots.setdefault(robot, {})
+                unused[header[at]] = f"several columns are the {what} of {label!r}"
+    robots: dict[tuple[str, bool], dict[str, int]] = {}
+    for (robot, is_command, _), labels in tables.items():
+        rows = robots.setdefault((robot, is_command), {})
         for label in labels:
             rows.setdefault(label, len(rows))
     numbers = {one.label: one.number for one in values.values() if one.number}
     groups: list[Group] = []
-    for (robot, quantity), labels in tables.items():
+    for (robot, is_command, quantity), labels in tables.items():
         if labels:
-            rows = robots[robot]
+            rows = robots[robot, is_command]
             used = tuple(Used(at, rows[one], values[at].scale) for one, (at,) in labels.items())
             stamp = _stamp_for(header[used[0].column], stamps)
-            name, unit = f"{robot}.{quantity}", JOINT_UNITS[quantity]
-            groups.append(Group(name, tuple(rows), unit, used, clock, stamp, numbers=numbers))
-    return groups
+            name = joints_name(robot, quantity, is_command=is_command)
+            unit = JOINT_UNITS.get(quantity, "1")
+            group = Group(name, tuple(rows), unit, used, clock, stamp, numbers=numbers)
+            groups.append(replace(group, drives=is_command))
+    return groups + [one for one in map(partial(_power_of, meanings), groups) if one is not None]
+
+
+def _power_of(meanings: Mapping[int, Meaning], commands: Group) -> Group | None:
+    """Return when the motors of commanded positions were on, 1 or 0; None where nothing says so."""
+    switches = {one.label: at for at, one in meanings.items() if isinstance(one, SwitchColumn)}
+    # A controller's Motor 1 is its joint1.
+    switches |= {re.sub(r".*?(\d+)$", r"joint\1", one): at for one, at in switches.items()}
+    if not switches or not commands.name.endswith(f"{COMMANDS}.position"):
+        return None
+    places = {one: switches.get(one, switches.get("")) for one in commands.columns}
+    found = {one: at for one, at in places.items() if at is not None}
+    used = tuple(Used(at, place, 1.0) for place, at in enumerate(found.values()))
+    name = f"{commands.name.removesuffix('.position')}{POWER}"
+    made = replace(commands, name=name, columns=tuple(found), unit="1", used=used, note="")
+    return made if used else None
 
 
 def _arms_of(fields: Sequence[JointField], clock: Clock, unused: dict[str, str]) -> list[Group]:
-    """Group the measured fields of a controller, and say why the others are not used."""
+    """Group the measured and commanded fields of a controller; say why others are not used."""
     chosen, others, names = choose_fields(fields)
     unused.update({one.title: why for one, why in others})
     groups: list[Group] = []
@@ -462,8 +536,9 @@ def _arms_of(fields: Sequence[JointField], clock: Clock, unused: dict[str, str])
         columns = sorted(one.columns.items())
         used = tuple(Used(at, row, one.scale) for row, (_, at) in enumerate(columns))
         labels = tuple(names[number] for number, _ in columns)
-        name, unit = f"{one.side or 'joints'}.{one.quantity}", JOINT_UNITS[one.quantity]
-        groups.append(Group(name, labels, unit, used, clock, note=one.title))
+        name = joints_name(one.side or "joints", one.quantity, is_command=one.is_command)
+        group = Group(name, labels, JOINT_UNITS.get(one.quantity, "1"), used, clock)
+        groups.append(replace(group, note=one.title, drives=one.is_command))
     return groups
 
 
@@ -511,6 +586,142 @@ def _with_torques(path: Path, plan: ColumnPlan, options: ReadOptions) -> ColumnP
         else:
             groups.append(replace(group, note="") if plan.kind and not group.is_track else group)
     return replace(plan, groups=tuple(groups), unused=unused)
+
+
+# ---- Units of joint angles, and quantities of commands, that names do not state.
+
+
+def with_angles(
+    path: Path, plan: ColumnPlan, numbers: Mapping[int, NDArray[np.float64]], options: ReadOptions
+) -> tuple[ColumnPlan, list[str]]:
+    """Apply the unit of angles that the user names or the values show to a plan's joints.
+
+    Commands that do not say their quantity are of positions where they follow these. Returns the
+    plan, and notes for the user; LogError where a name and the user state two units.
+    """
+    said = unit_of(options.angle_unit) if options.angle_unit else None
+    plan = replace(plan, groups=tuple(_with_quantity(one, plan, numbers) for one in plan.groups))
+    notes: list[str] = []
+    units: dict[str, AngleUnit | None] = {}  # by robot
+    for group in plan.groups:
+        if _quantity_of(group) == "position" and not group.drives and group.unit != PERCENT:
+            robot = group.name.rpartition(".")[0]
+            units[robot] = said or _shown(group, plan, numbers)
+            unit = units[robot]
+            if said is None and unit is UNTOLD:
+                notes.append(f"{group.name}: its unit is not rad, and nothing tells it: {REMEDY}")
+            elif said is None and unit is not None and unit.words != "rad":
+                why = f"its values are an encoder's in {unit.words}: read as such"
+                notes.append(f"{group.name}: {why}; if they are not, {REMEDY}")
+    found: list[Group] = []
+    unused = dict(plan.unused)
+    for group in plan.groups:
+        # Commands of another name, such as LeRobot's, are those of the one robot.
+        unit = units.get(_robot_of(group), next(iter(units.values())) if len(units) == 1 else said)
+        is_angle = _quantity_of(group) in ("position", "velocity") and group.unit != PERCENT
+        if unit is None or not is_angle:
+            found.append(group)
+            continue
+        stated = [one for one in group.used if states_angle(plan.names[one.column])]
+        if stated and said is not None:
+            name = plan.names[stated[0].column][:60]
+            raise LogError(
+                f"{path}: column {name!r} states its unit, and --angle-unit says "
+                f"{options.angle_unit}; leave it out"
+            )
+        if stated:
+            found.append(group)
+        elif _quantity_of(group) == "position":
+            own = {one: of_joint(unit, group.columns[one.place]) for one in group.used}
+            used = tuple(one._replace(scale=own[one].scale, zero=own[one].zero) for one in own)
+            found.append(replace(group, used=used, unit=unit.unit))
+        elif unit.speed_scale is None:
+            unused[group.name] = f"speeds beside positions in {unit.words}: their unit is not told"
+        else:
+            used = tuple(one._replace(scale=unit.speed_scale) for one in group.used)
+            found.append(replace(group, used=used))
+    return replace(plan, groups=tuple(found), unused=unused), notes
+
+
+def _quantity_of(group: Group) -> str:
+    """Return which quantity of joints a group is; "" if it is none."""
+    last = group.name.rpartition(".")[2]
+    return last if last in JOINT_UNITS and not group.is_track else ""
+
+
+def _robot_of(group: Group) -> str:
+    """Return the name of the states that a group of joints belongs to."""
+    robot = group.name.rpartition(".")[0]
+    return (robot.removesuffix(COMMANDS).rstrip(".") or "joints") if group.drives else robot
+
+
+def _shown(
+    group: Group, plan: ColumnPlan, numbers: Mapping[int, NDArray[np.float64]]
+) -> AngleUnit | None:
+    """Return the unit that the values of positions show, where no name states one."""
+    own = [plan.names[one.column] for one in group.used]
+    if any(map(states_angle, own)):
+        return None
+    columns = [numbers[one.column][:SHOWING] for one in group.used]
+    every = np.concatenate(columns)
+    every = every[np.isfinite(every)]
+    if len(every) and np.abs(every).max() > 100 and np.all(every == np.round(every)):
+        # Of Feetech's and Dynamixel's registers; those of 10 bits are of other turns.
+        is_register = all("present" in name.lower() for name in own) and every.min() >= 0
+        return unit_of("ticks") if is_register and 1023 < every.max() < 4096 else UNTOLD
+    names = [group.columns[one.place] for one in group.used]
+    unit = told_by_values(names, columns)
+    is_lerobots = all(name.startswith("observation.") or name.endswith(".pos") for name in own)
+    if unit is not None and unit.unit == PERCENT and not is_lerobots:
+        return UNTOLD  # of several encoders, as the lattices are; nobody else writes per cent
+    return unit
+
+
+def _with_quantity(
+    group: Group, plan: ColumnPlan, numbers: Mapping[int, NDArray[np.float64]]
+) -> Group:
+    """Return commands that say no quantity as those of positions where these follow them.
+
+    Where they do not, as the raw actions of a policy, only the user knows what they are.
+    """
+    if not group.drives or group.unit != "1" or group.name.endswith(POWER):
+        return group
+    robot = _robot_of(replace(group, name=f"{group.name}.position"))
+    states = [one for one in plan.groups if _quantity_of(one) == "position" and not one.drives]
+    states = [one for one in states if one.name == f"{robot}.position"] or states
+    places = states[0] if len(states) == 1 else None
+    if places is None:
+        return group
+    own = {places.columns[one.place]: numbers[one.column] for one in places.used}
+    pairs = [
+        (numbers[one.column], own[group.columns[one.place]])
+        for one in group.used
+        if group.columns[one.place] in own
+    ]
+    name = f"{group.name}.position"
+    is_taken = any(one.name == name for one in plan.groups)
+    if len(pairs) < len(group.used) or is_taken or not follow(pairs):
+        return replace(group, unit=UNSTATED)
+    return replace(group, name=name, unit=places.unit)
+
+
+def follow(pairs: Iterable[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> bool:
+    """Return whether measured positions follow commands, pairs of (T,) each: in the same unit.
+
+    Of what every moving joint does its command explains half of the variance, as it is.
+    """
+    moving = 0
+    for commands, places in pairs:
+        known = np.isfinite(commands) & np.isfinite(places)
+        if not known.any():
+            return False
+        spread = float(np.std(places[known]))
+        if spread > 0:
+            moving += 1
+            off = commands[known] - places[known]
+            if np.sqrt(np.mean(off**2)) > 0.7 * spread:
+                return False
+    return moving > 0
 
 
 # ---- Tracks of a header: coordinates, by moving object.
@@ -900,7 +1111,8 @@ def signals_of(
     encoding: str = "export",
 ) -> Made:
     """Make the signals of a plan: one for each group, run and object."""
-    made = Made([], [], {}, [])
+    plan, notes = with_angles(path, plan, rows.numbers, options)
+    made = Made([], [], dict(plan.unused), notes)
     # Which rows have a sample of each group that is sure, and how many lack some coordinate.
     seen: dict[str, tuple[NDArray[np.bool_], int]] = {}
     untimed: dict[Clock, NDArray[np.bool_]] = {}
@@ -975,13 +1187,7 @@ def _add(
                 f"times of impacts do not increase: {arrivals[last] * 1e-9:.13g} s is followed by "
                 f"{arrivals[last + 1] * 1e-9:.13g} s; give times since a start, not intervals"
             )
-    values = np.ones((len(at), 1))
-    unit = group.unit
-    if not group.is_impacts:
-        values = np.full((len(at), len(group.columns)), 0.0 if group.is_track else np.nan)
-        for one in group.used:
-            values[:, one.place] = rows.numbers[one.column][at] * one.scale
-        values[~np.isfinite(values)] = np.nan
+    values, unit = _values_of(group, plan, rows, at, made.notes), group.unit
     if group.is_track:
         values, unit = in_metres(values, unit, options)
     stamps = None if group.stamp is None else rows.times[group.stamp].stamps_ns[at]
@@ -1015,17 +1221,37 @@ def _add(
             group.columns,
             unit,
             counts_frames=counts_frames,
+            drives=group.drives,
             left_out=added(added(left_out, lacking), lost),
         )
         made.signals.append(signal)
         kind = _type_of(group.columns, unit, group.note)
-        made.channels.append(Channel(name, kind, encoding, own))
+        made.channels.append(Channel(name, kind, encoding, own, drives=group.drives))
         made.notes.extend(f"{name}: {repair}" for repair in repairs)
     if incomplete:
         made.notes.append(
             f"{group.name}: {incomplete} samples without all coordinates were left out"
         )
     return len(parts)
+
+
+def _values_of(
+    group: Group, plan: ColumnPlan, rows: ColumnRows, at: NDArray[np.intp], notes: list[str]
+) -> NDArray[np.float64]:
+    """Return the values of a group's rows `at`, in its unit, shape (T, C); 1 for impacts."""
+    if group.is_impacts:
+        return np.ones((len(at), 1))
+    values = np.full((len(at), len(group.columns)), 0.0 if group.is_track else np.nan)
+    for one in group.used:
+        values[:, one.place] = (rows.numbers[one.column][at] - one.zero) * one.scale
+    values[~np.isfinite(values)] = np.nan
+    if group.name.endswith(POWER) and (off := int((values == 0).any(axis=1).sum())):
+        names = short_list([plan.names[one] for one in {used.column: 0 for used in group.used}])
+        notes.append(
+            f"{group.name}: in {off} of {len(at)} rows {names} is off: what is commanded there "
+            "counts for nothing, and the joint is loose"
+        )
+    return values
 
 
 def _tracks_in(

@@ -16,6 +16,7 @@ import zipfile
 import zlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
 from tokenize import TokenError
@@ -115,6 +116,8 @@ _SUFFIXES = (".json", ".jsonl", ".ndjson")
 # Begins JSON under another name: no other text begins so.
 _JSON = re.compile(r'\s*(?:\{\s*"|\[\s*[\[{])')
 _MAX_DEPTH = 6  # of names within names
+_MIN_SAMPLES = 10  # of a motion, as lists side by side
+_MAX_MOTION_ROWS = 200_000  # of all motions: each becomes an object
 _MAX_LIST = 64  # values of a list whose places are columns, such as an arm's joints
 _Path = tuple[str | int, ...]  # keys and indices that lead to a value
 
@@ -142,9 +145,25 @@ def read_json_lines(path: Path, options: ReadOptions) -> Episode:
 
 
 def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -> Episode:
-    """Read one object: a list of records in it, or one list per column."""
+    """Read one object: a list of records, or one list per column; note what else it states."""
+    episode = _rows_of_document(path, document, options)
+    stated = {
+        f"stated {name[:60]}": str(value)[:60]
+        for name, value in islice(_columns_of(document, ""), 50)
+        if isinstance(value, str | int | float)
+    }
+    notes = {**episode.info.notes, **stated}
+    return replace(episode, info=replace(episode.info, notes=notes))
+
+
+def _rows_of_document(path: Path, document: dict[str, Any], options: ReadOptions) -> Episode:
     if {"task", "verdict", "provenance"} <= document.keys():
         raise LogError(f"{path}: is a tuning that tunenet-tune wrote", "name the log it is of")
+    for value in document.values():
+        if rows := _rows_of_motions(value):
+            return _read_records(
+                path, iter(rows), rows[:UNIT_ROWS], options, [], _rate_of(document)
+            )
     records = max(
         (value for value in document.values() if _is_records(value)), key=len, default=None
     )
@@ -177,6 +196,37 @@ def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -
             "write one list of numbers for time and each of x, y, z",
         )
     return episode_of_table(path, Table("JSON", lists, unused=unused), options)
+
+
+def _rows_of_motions(value: object) -> list[dict[str, Any]]:
+    """Return the rows of motions that each hold lists of one length; empty for others."""
+    motions = value if isinstance(value, list) else []
+    found: list[dict[str, Any]] = []
+    for number, motion in enumerate(motions, 1):
+        if not isinstance(motion, dict):
+            return []
+        lists = {key: one for key, one in motion.items() if isinstance(one, list)}
+        count = max(map(len, lists.values()), default=0)
+        columns = {key: one for key, one in lists.items() if len(one) == count}
+        if count < _MIN_SAMPLES or len(columns) < 2 or len(found) + count > _MAX_MOTION_ROWS:
+            return []
+        rows = zip(*columns.values(), strict=True)
+        found += [
+            {"run": number, "frame": at, **dict(zip(columns, cells, strict=True))}
+            for at, cells in enumerate(rows)
+        ]
+    return found
+
+
+def _rate_of(document: dict[str, Any]) -> float | None:
+    """Return the rate of rows [Hz] that a document states; None where it states none, or two."""
+    found = {
+        float(value)
+        for name, value in _columns_of(document, "")
+        if type(value) in (int, float) and re.fullmatch(r"fps|.*(?:^|[._])(?:hz|rate)", name, re.I)
+    }
+    rate = found.pop() if len(found) == 1 else 0.0
+    return rate if 0.01 < rate < 1e6 else None
 
 
 def _is_records(value: object) -> bool:
@@ -219,11 +269,16 @@ def _whole(values: list[Any]) -> NDArray[np.int64] | None:
 
 
 def _read_records(
-    path: Path, records: Iterator[Any], first: list[Any], options: ReadOptions, losses: list[str]
+    path: Path,
+    records: Iterator[Any],
+    first: list[Any],
+    options: ReadOptions,
+    losses: list[str],
+    rate_hz: float | None = None,
 ) -> Episode:
     paths = list(dict.fromkeys(one for record in first for one in _paths(record, (), 0)))
     names, meant = _names(paths)
-    plan = plan_columns(path, names, options, meant)
+    plan = plan_columns(path, names, options, meant, rate_hz=rate_hz)
     if not options.columns:
         plan = told_apart(plan, [[_cell(_at(one, keys)) for keys in paths] for one in first])
     exact = {at for clock in plan.clocks for at in clock.indices}
@@ -248,7 +303,8 @@ def _read_records(
     for at, values in texts.items():
         whole = _whole(values)
         arrays[at] = np.array([_cell(one) for one in values], object) if whole is None else whole
-    return episode_of_columns(path, "JSON records", plan, arrays, options, losses=losses)
+    more: dict[str, Any] = {"losses": losses, "rate_hz": rate_hz}
+    return episode_of_columns(path, "JSON records", plan, arrays, options, **more)
 
 
 def _cell(value: object) -> str:

@@ -154,7 +154,7 @@ def offer_by_name(names: Sequence[str]) -> str:
         return said
     meaning = meanings[other]
     name = _quoted(names, other)
-    if isinstance(meaning, JointColumn):
+    if isinstance(meaning, JointColumn) and not meaning.is_command:
         return f"{said},{meaning.quantity}_1={name}"
     return f"{said},z={name} for a height, position_1={name} for a joint"
 
@@ -514,6 +514,13 @@ def _is_number(cell: str, separator: Separator) -> bool:
 # ---- Read the rows.
 
 
+# What a motor's switch says; anything else does not tell.
+_FLAGS = {
+    **dict.fromkeys(("1", "1.0", "true", "yes", "on"), "1"),
+    **dict.fromkeys(("0", "0.0", "false", "no", "off"), "0"),
+}
+
+
 class TextRows:
     """Rows of text, read into the columns that a plan needs.
 
@@ -664,6 +671,8 @@ class TextRows:
     ) -> NDArray[np.float64]:
         """Read the cells of a column, shape (T,); NaN where they are missing or `wrong`."""
         numbers = self._numbers
+        if at in self.plan.switches:
+            texts = [_FLAGS.get(text.strip().lower(), "nan") for text in texts]
         try:
             plain = texts
             if numbers.decimal == ",":

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -20,8 +20,14 @@ from numpy.typing import NDArray
 from tunenet_logs.episode import UNSTATED, Episode
 from tunenet_logs.errors import LogError, pip_install
 from tunenet_logs.files import open_regular, real_path
+from tunenet_logs.formats.columns.angles import PERCENT, REMEDY, is_gripper, told_by_values
 from tunenet_logs.formats.columns.cells import Clock
-from tunenet_logs.formats.columns.names import TimeColumn, meaning_of, spread_names
+from tunenet_logs.formats.columns.names import (
+    JointColumn,
+    TimeColumn,
+    meaning_of,
+    spread_names,
+)
 from tunenet_logs.formats.columns.table import (
     ColumnPlan,
     Group,
@@ -71,7 +77,7 @@ def _kind(path: Path) -> str:
         return "Parquet" if file.read(4) == b"PAR1" else "Arrow"
 
 
-# ---- LeRobot data sets (versions 2, 3): joint states, usually without torques.
+# ---- LeRobot data sets (versions 2, 3): joint states and commands, usually without torques.
 
 _MAX_LISTED = 1000  # chunks of a data set, and files of a chunk, that are looked at
 _COLUMNS = ("timestamp", "frame_index", "episode_index")  # of every data set, beside its features
@@ -101,6 +107,7 @@ def _features(columns: Sequence[ParquetColumn]) -> list[ParquetColumn]:
         if one.kind == "n"
         and one.width
         and (one.name.startswith("observation.") or one.name == "action")
+        and not one.name.endswith("_is_pad")
     ]
 
 
@@ -157,35 +164,79 @@ def lerobot_episode(
     arrays: Mapping[str, NDArray[Any]],
     options: ReadOptions,
 ) -> Episode:
-    """Read the states of each episode in the file, in the data set's own units."""
+    """Read states and commands (`action`) of each episode in the file."""
     known = data_set_of(path)
     times, frames = (arrays[one].astype(np.float64) for one in ("timestamp", "frame_index"))
     seconds = exact_seconds(times, frames, known.rate_hz) if len(times) else times
     flat: list[NDArray[Any]] = [seconds, arrays["episode_index"]]
     names = ["timestamp", "episode_index"]
-    clock = Clock("timestamp", (0,), 0)
     groups: list[Group] = []
-    unused: dict[str, str] = {}
     features = _features(columns)
     for feature in features:
-        if feature.name == "action":
-            why = "commanded, not measured; a LeRobot data set holds no torques as a rule"
-            unused["action"] = why
-            continue
         labels = known.labels.get(feature.name, ())
         if len(labels) != feature.width or len(set(labels)) < len(labels):
             labels = tuple(f"joint{number + 1}" for number in range(feature.width))
-        used = tuple(Used(len(flat) + at, at, 1.0) for at in range(feature.width))
-        groups.append(Group(feature.name, labels, UNSTATED, used, clock))
-        names += [f"{feature.name}[{at}]" for at in range(feature.width)]
-        flat += list(arrays[feature.name].T)
+        own = dict(enumerate(arrays[feature.name].T.astype(np.float64)))
+        groups += _feature_groups(feature.name, labels, own, len(flat), options)
+        names += [f"{feature.name}.{label}" for label in labels]
+        flat += list(own.values())
     others = [one for one in columns if one.name not in _COLUMNS and one not in features]
-    unused |= {one.name: "no state of the robot" for one in others}
+    unused = {one.name: "no state of the robot" for one in others}
+    if "action" in unused:
+        unused["action"] = "each row is no list of numbers, but several steps, or of another kind"
     plan = ColumnPlan(tuple(names), tuple(groups), ((1, "episode"),), unused)
     notes = [known.warning] if known.warning else []
-    notes.append("the data set names no units of its states, which may be degrees or per cent")
     what = f"LeRobot data set{f' of {known.robot}' if known.robot else ''}"
-    return episode_of_columns(path, what, plan, dict(enumerate(flat)), options, warnings=notes)
+    episode = episode_of_columns(path, what, plan, dict(enumerate(flat)), options, warnings=notes)
+    if not any(one.unit == UNSTATED for one in episode.signals.values()):
+        return episode
+    told = f"the data set names no units of its states, which may be degrees or per cent: {REMEDY}"
+    return replace(episode, warnings=(*episode.warnings, told))
+
+
+def _feature_groups(
+    feature: str,
+    labels: Sequence[str],
+    values: Mapping[int, NDArray[np.float64]],
+    first: int,
+    options: ReadOptions,
+) -> Iterator[Group]:
+    """Yield the groups of a feature: by the quantity of its labels, the grippers apart.
+
+    Of labels that say no quantity ("main_elbow") all are positions where the user or the values
+    tell their unit. LeRobot writes a gripper's opening in per cent, or from 0 to 1, whatever the
+    unit of the other joints is.
+    """
+    clock, drives = Clock("timestamp", (0,), 0), feature == "action"
+    parts: dict[tuple[str, bool], dict[int, str]] = {}
+    for at, label in enumerate(labels):
+        meaning, quantity = meaning_of(label), ""
+        if isinstance(meaning, JointColumn) and not (meaning.is_bare or meaning.is_command):
+            quantity = meaning.quantity
+        short = label.rpartition(".")[0] if quantity and "." in label else label
+        part = parts.setdefault((quantity, is_gripper(label)), {})
+        part[at] = label if short in part.values() else short
+    plain = parts.get(("", False), {})
+    if plain and feature in ("action", "observation.state") and ("position", False) not in parts:
+        names, columns = [*plain.values()], [values[at] for at in plain]
+        if options.angle_unit or told_by_values(names, columns):
+            parts["position", False] = parts.pop(("", False))
+    for (quantity, is_one), part in parts.items():
+        used = tuple(Used(first + at, place, 1.0) for place, at in enumerate(part))
+        name = f"{feature}.{quantity}" if quantity else feature
+        group = Group(name, tuple(part.values()), UNSTATED, used, clock, drives=drives)
+        if is_one:
+            group = replace(group, name=f"{feature}.gripper{name.removeprefix(feature)}")
+        is_opening = is_one and quantity in ("", "position")
+        if is_opening and not options.angle_unit.startswith("ticks"):
+            opening = np.concatenate([values[at] for at in part])
+            low, high = np.nanmin(opening, initial=0.0), np.nanmax(opening, initial=0.0)
+            whole = 1.0 if high <= 1.2 else 100.0
+            if -0.2 * whole <= low and high <= 1.2 * whole:
+                used = tuple(one._replace(scale=200.0 / whole, zero=whole / 2) for one in used)
+                name = f"{feature}.gripper.position"
+                group = replace(group, name=name, unit=PERCENT, used=used)
+        yield group
 
 
 # ---- Tables of any columns, and the choice between these two.
@@ -206,8 +257,7 @@ def read_parquet(path: Path, options: ReadOptions) -> Episode:
         plan: ColumnPlan | None = None
         sources: list[tuple[str, int | None]] = []  # file column and list index of each column
         if is_lerobot(columns) and not options.columns:
-            states = [one.name for one in _features(columns) if one.name != "action"]
-            wanted = [*_COLUMNS, *states]
+            wanted = [*_COLUMNS, *(one.name for one in _features(columns))]
         else:
             plan, sources = _plan(path, columns, options)
             wanted = list(dict.fromkeys(sources[at][0] for at in plan.needed))

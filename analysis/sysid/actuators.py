@@ -1,0 +1,277 @@
+"""Choose which terms of its servos a log tells: forward selection by evidence and by hold-out.
+
+Every servo has a gain, damping, armature and dry friction. Another term (see
+`recorders.simulators.model.servo`) is added where a fit gains more than the Bayesian information
+criterion asks for it (Schwarz 1978), which counts samples that hang together once, and a fit to
+what is not held out predicts the rest better too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.analysis.sysid.fit import (
+    TOLD,
+    RolloutLeastSquares,
+    Solution,
+    correlation_length,
+    covariance,
+    later_part,
+)
+from tunenet_logs.analysis.sysid.source import Connected, ModelSource, seen_at, tuned_first
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.base import Parameter
+from tunenet_logs.recorders.simulators.model.servo import ServoTerm, all_terms, neutral
+from tunenet_logs.terminal import listed
+
+# Fields that are added together: one tells nothing without the other.
+_GROUPS: tuple[tuple[str, ...], ...] = (
+    ("forcerange",),
+    ("load_friction",),
+    ("stribeck_load", "stribeck_speed"),
+    ("stribeck", "stribeck_speed"),
+    ("dead_band",),
+    ("zero",),
+    ("commands",),  # the delay
+)
+_NEEDS = {"stribeck_load": "load_friction"}  # what has to be there before
+_BRAKE = ("back_emf",)
+_TRIED = 3  # groups that are fitted in a round, the most promising first
+_SMALL_START = 0.3  # sd of what is usual, from which a term begins that is 0 as a rule
+_SURE = 2.0  # standard deviations from where it is not there, beyond which a term stays
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Which terms of its servos a log tells."""
+
+    selection: _Selection  # with the fits that it compares
+    values: Mapping[str, float]  # where to begin, by the addresses to tune, no servo's too
+    words: tuple[str, ...]  # what was added or left out, and why
+
+    def omitted(self, parameters: Sequence[Parameter]) -> Callable[[Array], Array]:
+        """Return what each term that is left out would change, of the size that is usual.
+
+        Of rollouts at values of these parameters, shape (P,) -> (G, M). A log that cannot tell a
+        term may have it: what it would do to the others widens their intervals.
+        """
+        selection = self.selection
+        names = [one.name for one in selection.parameters]
+        places = [names.index(one.name) for one in parameters]
+        groups: dict[tuple[int, tuple[str, ...]], list[int]] = {}
+        for group in _GROUPS:
+            for place in selection.places(group):
+                name = names[place]
+                if name not in self.values:
+                    key = selection.terms[name][1], group
+                    groups.setdefault(key, []).append(place)
+
+        def changes(values: Array) -> Array:
+            row = selection.base.copy()
+            row[places] = values
+            rows = np.repeat(row[None], 1 + len(groups), axis=0)
+            for number, group in enumerate(groups.values(), 1):
+                rows[number, group] = [selection.size(place) for place in group]
+            seen = selection.seen(rows)
+            return np.where(np.isfinite(seen[1:] - seen[0]), seen[1:] - seen[0], 0.0)
+
+        return changes
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Fit of some parameters to all, and how it misses what another did not see."""
+
+    free: tuple[int, ...]  # places of its parameters among all
+    solution: Solution
+    values: Array  # of all parameters, shape (P,)
+    missed: Array  # RMS of each column where it is held out, of a fit to the rest, shape (C,)
+
+
+@dataclass(frozen=True, eq=False)
+class _Selection:
+    """Forward selection on one connected log, or several."""
+
+    connected: Connected
+    terms: Mapping[str, tuple[ServoTerm, int]]  # by address, with the actuator
+    base: Array  # values of all parameters at which no term is there, shape (P,)
+    parameters: tuple[Parameter, ...]
+
+    @cached_property
+    def later(self) -> NDArray[np.bool_]:
+        """What is held out, shape (M,)."""
+        target, later = self.connected.target, self.connected.later
+        return later_part(target) if later is None or not later.any() else later
+
+    def places(self, fields: Sequence[str]) -> tuple[int, ...]:
+        """Return the places of these fields' parameters."""
+        return tuple(
+            place
+            for place, one in enumerate(self.parameters)
+            if one.name in self.terms and _field(one.name) in fields
+        )
+
+    def start(self, place: int) -> float:
+        """Return where a term begins that is added."""
+        one = self.parameters[place]
+        assert one.usual is not None
+        mean, sd = one.usual
+        start = mean if mean > 0 else _SMALL_START * sd
+        return start if abs(start - self.base[place]) > 0.1 * sd else start - 0.5 * sd
+
+    def size(self, place: int) -> float:
+        """Return a term's value where it is there, as large as others' are."""
+        one = self.parameters[place]
+        assert one.usual is not None
+        mean, sd = one.usual
+        if abs(mean - self.base[place]) < 0.1 * sd:  # the model has it: another as far off as usual
+            return mean - sd if mean > sd else mean + sd
+        return float(np.hypot(mean, sd))
+
+    def seen(self, rows: Array) -> Array:
+        """Roll out rows of all parameters, shape (N, P) -> (N, M)."""
+        return seen_at(self.connected.target, self.connected.rollouts(rows))
+
+    def fit(self, free: tuple[int, ...], values: Array) -> _Fit:
+        """Fit these parameters, the others as in `values`, shape (P,)."""
+        own = list(free)
+
+        def run(rows: Array) -> Array:
+            whole = np.repeat(values[None], len(rows), axis=0)
+            whole[:, own] = rows
+            return self.seen(whole)
+
+        parameters = tuple(self.parameters[place] for place in own)
+        steps = RolloutLeastSquares(run, self.connected.target, parameters)
+        solution = steps.solve(values[own])
+        found = values.copy()
+        found[own] = solution.values
+        _, unseen = replace(steps, fitted=~self.later).one_step(solution)
+        return _Fit(free, solution, found, self.connected.target.rms(unseen, self.later))
+
+    def gain(self, before: _Fit, after: _Fit) -> float:
+        """Return what the criterion gains, above 0 where the added parameters are worth it."""
+        target = self.connected.target
+        floor = np.array([max(one.noise, 1e-3 * one.spread, 1e-12) for one in target.columns])
+        total, least = 0.0, np.inf
+        for column in range(len(target.columns)):
+            mine = target.which == column
+            first, second = before.solution.residuals[mine], after.solution.residuals[mine]
+            apart = max(correlation_length(first), correlation_length(second))
+            count = max(len(first) / apart, 3.0)
+            left = [np.hypot(np.sqrt(np.mean(one**2)), floor[column]) for one in (first, second)]
+            total += 2 * count * float(np.log(left[0] / left[1]))
+            least = min(least, count)
+        return total - (len(after.free) - len(before.free)) * float(np.log(max(least, 3.0)))
+
+    def promised(self, now: _Fit, group: tuple[int, ...]) -> float:
+        """Return by how much a group may lower the cost, by one rollout with it (a score test)."""
+        values = now.values.copy()
+        values[list(group)] = [self.start(place) for place in group]
+        moved = self.seen(values[None])[0]
+        target, solution = self.connected.target, now.solution
+        change = moved - (target.values + solution.residuals)
+        weights = solution.chosen / target.per_value(solution.noise)
+        change = np.where(np.isfinite(change), change, 0.0) * weights
+        slopes = solution.slopes * weights[:, None]
+        change = change - slopes @ np.linalg.lstsq(slopes, change, rcond=1e-8)[0]
+        size = float(change @ change)
+        along = float(change @ (solution.residuals * weights))
+        is_signed = any(self.parameters[place].bounds[0] < self.base[place] for place in group)
+        return 0.0 if along > 0 and not is_signed else along**2 / max(size, 1e-300)
+
+
+def _field(address: str) -> str:
+    return "commands" if address.startswith("delay/") else address.rpartition(".")[2]
+
+
+def choose(connected: Connected, source: ModelSource) -> Choice:
+    """Choose the terms of a source's servos that a connected log tells."""
+    terms, model = all_terms(source.model), source.model
+    given = {one.parameter.name: one for one in source.tuned}
+    parameters = tuned_first(connected.simulator.parameters)
+    base = np.array([one.initial for one in parameters])
+    for place, one in enumerate(parameters):
+        if one.name in terms and not terms[one.name][0].is_base:
+            term, actuator = terms[one.name]
+            base[place] = neutral(model, term, actuator, given[one.name].given)
+    selection = _Selection(connected, terms, base, parameters)
+    free = tuple(
+        place
+        for place, one in enumerate(parameters)
+        if one.name not in terms or terms[one.name][0].is_base
+    )
+    groups = list(_GROUPS)
+    start = base.copy()
+    if _is_switched(connected):  # a motor without power does not brake
+        brakes = selection.places(_BRAKE)
+        start[list(brakes)] = [selection.start(place) for place in brakes]
+        free = tuple(sorted((*free, *brakes)))
+    now = selection.fit(free, start)
+    words, rest = list[str](), list(groups)
+    while rest:
+        new = {group: _new(selection, now, group) for group in rest}
+        promised = {group: selection.promised(now, places) for group, places in new.items()}
+        best: tuple[float, tuple[str, ...], _Fit] | None = None
+        ready = [
+            one
+            for one in rest
+            if promised[one] > now.solution.together * len(one)
+            and (_NEEDS.get(one[0], ""),) not in rest
+        ]
+        for group in sorted(ready, key=lambda one: -promised[one])[:_TRIED]:
+            start = now.values.copy()
+            start[list(new[group])] = [selection.start(place) for place in new[group]]
+            tried = selection.fit(tuple(sorted((*now.free, *new[group]))), start)
+            gain = selection.gain(now, tried)
+            is_better = float(np.sum(np.log(tried.missed / np.maximum(now.missed, 1e-12)))) < 0
+            if gain > 0 and is_better and (best is None or gain > best[0]):
+                best = gain, group, tried
+        if best is None:
+            break
+        gain, group, now = best
+        rest.remove(group)
+        what = " and ".join(group).replace("commands", "delay")
+        words.append(f"{what}: added, {gain:.0f} over what evidence asks for")
+    kept, dropped = _told(selection, now, terms)
+    found = {one.name: float(now.values[place]) for place, one in enumerate(parameters)}
+    names = {one.name for place, one in enumerate(parameters) if place in kept}
+    tuned = {name: found[name] for name in given if name in names}
+    added = {_field(name) for name in tuned}
+    left = [parameters[place].name for place in dropped]
+    left += [one for group in rest for one in group if one not in added]
+    if left:
+        what = listed(dict.fromkeys(left), 12).replace("commands", "delay")
+        words.append(f"cannot be told by this log, and left out: {what}")
+    return Choice(selection, tuned, tuple(words))
+
+
+def _is_switched(connected: Connected) -> bool:
+    return any("power of actuators" in one for one in connected.used)
+
+
+def _new(selection: _Selection, now: _Fit, group: tuple[str, ...]) -> tuple[int, ...]:
+    return tuple(place for place in selection.places(group) if place not in now.free)
+
+
+def _told(
+    selection: _Selection, fit: _Fit, terms: Mapping[str, tuple[ServoTerm, int]]
+) -> tuple[set[int], list[int]]:
+    """Return the places of what stays, and of added terms that some of several servos lack."""
+    own = tuple(selection.parameters[place] for place in fit.free)
+    cov, _ = covariance(fit.solution, selection.connected.target, own)
+    kept, dropped = set(fit.free), list[int]()
+    if len({actuator for _, actuator in terms.values()}) == 1:
+        return kept, dropped
+    for place, one, sd in zip(fit.free, own, np.sqrt(np.diag(cov)), strict=True):
+        is_added = one.name in terms and not terms[one.name][0].is_base
+        is_small = abs(fit.values[place] - selection.base[place]) < _SURE * sd
+        if is_added and one.usual is not None and is_small and sd > TOLD * one.usual[1]:
+            kept.remove(place)
+            dropped.append(place)
+    return kept, dropped
