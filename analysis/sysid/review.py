@@ -224,6 +224,8 @@ def _commanded(found: SimulatorDetection, number: int, seconds: Array) -> Array 
             continue
         values = signal.values[:, signal.columns.index(column.name)]
         good = np.isfinite(values)
+        if not good.any():
+            continue
         at_s = (signal.stamps_ns[good] - target.start_ns) * 1e-9
         places = np.searchsorted(at_s, seconds, side="right") - 1
         return np.where(places < 0, np.nan, values[good][np.maximum(places, 0)])
