@@ -416,7 +416,7 @@ def test_stamps_beyond_the_calendar_are_damage(tmp_path: Path):
     ("count", "says"),
     [
         (10**6, "a message of 24000028 bytes is over the limit of 4194304"),
-        (100_001, "over 100000 points"),
+        (100_001, "over 100000 parts"),
     ],
 )
 def test_a_million_points_are_not_even_decoded(tmp_path: Path, count: int, says: str):

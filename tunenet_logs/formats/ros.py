@@ -1,8 +1,7 @@
 """Decode ROS messages of any type, in ROS 2 CDR and in ROS 1 serialization.
 
 A log's own definition is parsed as text and becomes a tree of functions (`ros_type`): nothing is
-compiled that a file contains. What rosbags has compiled of its own, and the log defines alike, it
-decodes in 0.6 of the time. `stacked_decoder` decodes many messages of one layout at once.
+compiled that a file contains. `stacked_decoder` decodes many messages of one layout at once.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
-from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_typestore
 
 from tunenet_logs import messages
@@ -168,7 +166,8 @@ def _full(written: str, package: str) -> str:
 def known_types(*, is_ros1: bool) -> RosTypes:
     """Return the fields of all known types: of a ROS distribution, and of `TYPES`."""
     found: RosTypes = {}
-    for name, fields in _compiled(is_ros1=is_ros1).fielddefs.items():
+    store = get_typestore(Stores.ROS1_NOETIC) if is_ros1 else messages.typestore()
+    for name, fields in store.fielddefs.items():
         with suppress(LookupError):  # one with wide texts, which are not read
             found |= _types_of({name: fields})
     for key, kind in TYPES.items():
@@ -178,59 +177,36 @@ def known_types(*, is_ros1: bool) -> RosTypes:
     return found
 
 
-@cache
-def _compiled(*, is_ros1: bool) -> Any:
-    return get_typestore(Stores.ROS1_NOETIC) if is_ros1 else messages.typestore()
-
-
 # ---- Decode any type: each part is read by a function of its own.
 # A message's memory is bounded by its own bytes: a type whose parts hold no bytes is refused.
 
-_MAX_PARTS = 20_000  # messages in the lists of one message
+_MAX_PARTS = 100_000  # messages in one list: of a plan, a minute and a half at 1 kHz
 _FILLED = 4  # bytes to whose multiple some writers pad a message
 # Reads a part at a place; gives it, and the place behind it.
 Read = Callable[[bytes, int], tuple[Any, int]]
 
 
-def ros_type(channel: RawChannel, listed: MessageType | None) -> AnyType:
-    """Return structure and decoder of a channel's type, by its own definition.
-
-    `listed` is its row of `TYPES`: rosbags bounds no list, so it decodes no other type.
-    """
+def ros_type(channel: RawChannel, _: MessageType | None) -> AnyType:
+    """Return structure and decoder of a channel's type, by its own definition."""
     name, is_ros1 = ros_name(channel.type_name), channel.encoding == "ros1"
-    ours, theirs = known_types(is_ros1=is_ros1), {}
-    encodings = SCHEMA_ENCODINGS[channel.encoding]
+    encodings, types = SCHEMA_ENCODINGS[channel.encoding], {}
     if channel.schema_encoding in encodings:
-        theirs = parsed(channel.schema, channel.schema_encoding, name)
+        types = parsed(channel.schema, channel.schema_encoding, name)
         plain = channel.type_name.replace("::", "/")
-        name = plain if name not in theirs and plain in theirs else name
-        if name not in theirs:
+        name = plain if name not in types and plain in types else name
+        if name not in types:
             raise UnusableError(f"its definition does not say what {name[:60]!r} is")
     elif channel.schema_encoding:
         raise UnusableError(
             f"its definition is in {channel.schema_encoding[:20]!r}, which is not read "
             f"(only {', '.join(encodings)})"
         )
-    elif name not in ours:
+    elif name not in known_types(is_ros1=is_ros1):
         raise UnusableError("its type is not known here, and the log does not define it")
-    types = ours | theirs
-    structure, slow = any_ros_type(types, name, is_ros1=is_ros1)
-    decode = slow
-    if listed is None or any(ours.get(one) != fields for one, fields in theirs.items()):
-        return AnyType(structure, decode)
-    store = _compiled(is_ros1=is_ros1)
-    if name in store.types:
-        deserialize = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
-
-        def decode_compiled(data: bytes | memoryview) -> Any:
-            if not is_ros1 and len(data) > 1 and not data[0] and data[1] > 1:
-                return slow(data)  # another CDR than that of ROS 2
-            try:
-                return deserialize(data, name)
-            except (SerdeError, *DAMAGED) as error:
-                raise MessageError(f"a {name} message is damaged: {error}") from error
-
-        decode = decode_compiled
+    kinds = {field.kind for fields in types.values() for field in fields}
+    if not types or not kinds <= {*_SIZES, "string", *types}:  # it leaves some to who reads it
+        types = known_types(is_ros1=is_ros1) | types
+    structure, decode = any_ros_type(types, name, is_ros1=is_ros1)
     return AnyType(structure, decode, stacked=stacked_decoder(types, name, is_ros1=is_ros1))
 
 

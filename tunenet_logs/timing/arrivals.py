@@ -531,11 +531,12 @@ def _best(arrivals: Array, periods: Array, scale: float) -> tuple[Clocks, float,
     room = ((starts - above.min(axis=1)) / periods).min()
     before = int(np.clip(np.ceil(room), 0, 100)) + 1
     clocks = Clocks(periods, starts, np.repeat([scale, scale / 3], count), laws)
-    costs, skipped = likeliest_ticks(arrivals, clocks, before)
-    for kept in (len(laws), _REFINED):
+    few = arrivals[: 3 * _FEWEST]  # most of the candidates are ruled out by these alone
+    costs, skipped = likeliest_ticks(few, clocks, before)
+    for kept, seen in ((2 * _REFINED, few), (_REFINED, arrivals)):
         chosen = np.sort(costs.argsort()[:kept])
         clocks = clocks.part(chosen)
-        late = delays(arrivals, clocks, skipped[chosen])
+        late = delays(seen, clocks, skipped[chosen])
         moved = np.quantile(late, 0.02, axis=1)  # the earliest, of which a few may be wrong
         late -= moved[:, None]
         scales = _scales(late.clip(0), clocks.laws)

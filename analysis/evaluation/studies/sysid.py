@@ -336,6 +336,10 @@ def _put(spec: Any, kind: str, name: str, field: str, value: float) -> None:
 # ---- One log: tuned by ours, by the toolbox, and by the network's first step.
 
 
+# Methods that are compared, and how many rollouts each may spend; fits end by themselves.
+_METHODS = {"fit": 5, "tunenet": 5, "tunenet+refine": 5, "cma-es": 200}
+_WRONG_END = 0.05  # of a parameter's range: an answer that is farther off is another minimum's
+
 # Those of all sections, then what the section of servos asks about: sizes in place of noise.
 _MACHINES = (*MACHINES, Machine("servo", servo_log, servo_log, slow_servo_log, lambda _: {}))
 
@@ -360,9 +364,21 @@ def rows_of(trial: MachineTrial) -> list[Row]:
         return _tuned(trial, log)
     if trial.section == "together":
         other = machine.again(trial.seed, trial.noise).episode
-        return [*_tuned(trial, log, "one"), *_tuned(trial, log, "both", (other,))]
+        return [*_tuned(trial, log, "one"), *_tuned(trial, log, "both", together=(other,))]
     if trial.section == "network":
         return _first_steps(trial, log)
+    if trial.section == "methods":
+        rng = np.random.default_rng((trial.seed, 78))
+        ranges = _ranges(log)
+        far = tuple(float(rng.uniform(*ends)) for ends in ranges)
+        return [
+            row
+            for method, most in _METHODS.items()
+            for what, start in (("given", None), ("anywhere", far))
+            for row in _tuned(
+                trial, log, f"{method} from {what}", method=method, iterations=most, initial=start
+            )
+        ]
     if trial.section == "toolbox":
         answer = toolbox_answer(log, tunes_start=True)
         found = [
@@ -375,6 +391,11 @@ def rows_of(trial: MachineTrial) -> list[Row]:
         for what, model in machine.wrong(log).items()
         for row in _tuned(trial, replace(log, model=model), what)
     ]
+
+
+def _ranges(log: ModelLog) -> list[tuple[float, float]]:
+    with tempfile.TemporaryDirectory() as folder:
+        return [one.training_range for one in _source(log, folder).parameters]
 
 
 def _source(log: ModelLog, folder: str) -> ModelSource:
@@ -405,16 +426,21 @@ def _rows(
     return [{**log, **one} for one in found] or [log]
 
 
-def _tuned(
-    trial: MachineTrial, log: ModelLog, what: str = "", others: tuple[Episode, ...] = ()
-) -> list[Row]:
+def _tuned(trial: MachineTrial, log: ModelLog, what: str = "", **options: Any) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         began_s = time.process_time()
-        options = TuneOptions(source=_source(log, folder), together=others)
-        tuning = tune_episode(log.episode, options)
+        tuning = tune_episode(log.episode, TuneOptions(source=_source(log, folder), **options))
         seconds = time.process_time() - began_s
     found: list[Row] = []
-    if tuning.trace is not None and tuning.trace.fit is not None:
+    if tuning.trace is not None and tuning.trace.fit is None:  # only fits give intervals
+        found = [
+            {
+                **_estimate(one.name, log.truth[one.name], value),
+                "range": float(np.ptp(one.training_range)),
+            }
+            for one, value in zip(tuning.parameters, tuning.trace.estimate, strict=True)
+        ]
+    elif tuning.trace is not None and tuning.trace.fit is not None:
         fit: SimulatorFit = tuning.trace.fit.detail
         unidentifiable = {one.name for one in fit.unidentifiable}
         for one, value, ends in zip(
@@ -516,6 +542,7 @@ _HEADS = {
     "wrong": "Models of other machines: none should come out ok.",
     "servos": "Terms of servos chosen by each log (`--tune actuators`), of half to twice the size.",
     "network": "One step of a network trained on the spot, from 20 random starts a log.",
+    "methods": f"From the given start and from anywhere; {ROLLOUTS} rollouts train a network.",
 }
 
 
@@ -531,8 +558,9 @@ def sysid_table(section: str, rows: Sequence[Row], head: str) -> str:
             counts = [str(mine.count(name)) for name in ("ok", "suspect", "rejected")]
             lines.append([machine, what, str(len(mine)), *counts])
         return table(lines, f"{section}: {head}")
-    if section == "together":
-        return table(_together(rows), f"{section}: {head}")
+    if section in ("together", "methods"):
+        lines = _together(rows) if section == "together" else _by_method(rows)
+        return table(lines, f"{section}: {head}")
     heads = {
         "untold": ["machine", "parameter", "logs", "cannot be told", "said so"],
         "network": ["machine", "parameter", "logs", "median", "of the range"],
@@ -595,4 +623,28 @@ def _together(rows: Sequence[Row]) -> list[list[str]]:
         oks = sum(row["verdict"] == "ok" for row in own["both"])
         cells = [str(len(ratios)), f"{np.median(ratios):.2f}", *covered, str(oks)]
         lines.append([machine, f"{noise:g}", address, *cells])
+    return lines
+
+
+def _by_method(rows: Sequence[Row]) -> list[list[str]]:
+    """Return lines of a table: for each machine and method, how often it ends elsewhere."""
+    lines = [["machine", "method", "tries", "elsewhere", "median, of the range", "rollouts", "s"]]
+    groups: dict[tuple[str, str], dict[int, list[Row]]] = {}
+    for row in rows:
+        tries = groups.setdefault((row["machine"], row["what"]), {})
+        tries.setdefault(row["seed"], []).append(row)
+    for (machine, what), tries in groups.items():
+        shares = np.array(
+            [
+                max(abs(row["value"] - row["truth"]) / row["range"] for row in found)
+                if "value" in found[0]
+                else np.inf  # nothing was found
+                for found in tries.values()
+            ]
+        )
+        spent = np.array([[found[0]["rollouts"], found[0]["seconds"]] for found in tries.values()])
+        rollouts, seconds = np.median(spent, axis=0)
+        cells = [str(len(shares)), f"{100 * np.mean(shares > _WRONG_END):.0f} %"]
+        cells += [f"{100 * np.median(shares):.2g} %", f"{rollouts:.0f}", f"{seconds:.1f}"]
+        lines.append([machine, what, *cells])
     return lines
