@@ -276,6 +276,15 @@ def other_checks(detection: SimulatorDetection, found: SimulatorFit | None) -> t
     return tuple(checks)
 
 
+def untold_check(count: int) -> Check:
+    """Doubt so many values of a method that gives no intervals: far ones may match as well."""
+    return SYSID["every parameter is identifiable"].measured(
+        count,
+        detail="the method gives no intervals, and other values may match as well",
+        advice="take --method fit, which begins where it is told (--initial)",
+    )
+
+
 def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
     """Check an exact fit: hold-out, bounds, identifiability, step size."""
     checks: list[Check] = []

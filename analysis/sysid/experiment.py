@@ -34,6 +34,7 @@ from tunenet_logs.analysis.sysid.checks import (
     match_check,
     other_checks,
     recording_checks,
+    untold_check,
     whole_check,
 )
 from tunenet_logs.analysis.sysid.fit import ComparedColumns, SimulatorFit, fit_simulator
@@ -374,7 +375,7 @@ class SimulatorExperiment:
         others = other_checks(detection, fit.detail if fit else None)
         counts = fit.detail.predictable if fit else None
         checks = (*checks, *others, match_check(target, residuals, counts))
-        return (*checks, *fit_checks(fit.detail)) if fit else checks
+        return (*checks, *(fit_checks(fit.detail) if fit else [untold_check(len(last.values))]))
 
     def cross_check(self, detection: SimulatorDetection, estimate: Array) -> CrossCheck | None:
         """Return None: the hold-out is the check; see `Experiment.cross_check`."""

@@ -8,6 +8,7 @@ may be missing.
 from __future__ import annotations
 
 import io
+import os
 import re
 import tempfile
 import time
@@ -428,9 +429,11 @@ def _rows(
 
 def _tuned(trial: MachineTrial, log: ModelLog, what: str = "", **options: Any) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
-        began_s = time.process_time()
-        tuning = tune_episode(log.episode, TuneOptions(source=_source(log, folder), **options))
-        seconds = time.process_time() - began_s
+        began_s = sum(os.times()[:4])
+        source = _source(log, folder)
+        tuning = tune_episode(log.episode, TuneOptions(source=source, **options))
+        source.process.close()  # what it took is known when it has ended
+        seconds = sum(os.times()[:4]) - began_s
     found: list[Row] = []
     if tuning.trace is not None and tuning.trace.fit is None:  # only fits give intervals
         found = [
@@ -628,7 +631,8 @@ def _together(rows: Sequence[Row]) -> list[list[str]]:
 
 def _by_method(rows: Sequence[Row]) -> list[list[str]]:
     """Return lines of a table: for each machine and method, how often it ends elsewhere."""
-    lines = [["machine", "method", "tries", "elsewhere", "median, of the range", "rollouts", "s"]]
+    heads = ["machine", "method", "tries", "elsewhere", "ok so", "median, of the range"]
+    lines = [[*heads, "rollouts", "s"]]
     groups: dict[tuple[str, str], dict[int, list[Row]]] = {}
     for row in rows:
         tries = groups.setdefault((row["machine"], row["what"]), {})
@@ -644,7 +648,13 @@ def _by_method(rows: Sequence[Row]) -> list[list[str]]:
         )
         spent = np.array([[found[0]["rollouts"], found[0]["seconds"]] for found in tries.values()])
         rollouts, seconds = np.median(spent, axis=0)
-        cells = [str(len(shares)), f"{100 * np.mean(shares > _WRONG_END):.0f} %"]
+        is_off = shares > _WRONG_END
+        oks = sum(
+            found[0]["verdict"] == "ok"
+            for found, off in zip(tries.values(), is_off, strict=True)
+            if off
+        )
+        cells = [str(len(shares)), str(np.count_nonzero(is_off)), str(oks)]
         cells += [f"{100 * np.median(shares):.2g} %", f"{rollouts:.0f}", f"{seconds:.1f}"]
         lines.append([machine, what, *cells])
     return lines

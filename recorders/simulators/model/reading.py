@@ -130,6 +130,11 @@ class ModelProcess:
         )
         self._loaded: Any = None
 
+    def close(self) -> None:
+        """End it; the next request starts another."""
+        self._sandbox.close()
+        self._loaded = None
+
     def check_compiles(
         self, xml: str, models: Mapping[str, bytes], files: Mapping[str, bytes]
     ) -> None:

@@ -228,6 +228,8 @@ def test_a_search_finds_what_the_fit_finds(method: str):
     assert abs(values["stiffness"] - TRUTH["stiffness"]) < off[0]
     assert abs(values["damping"] - TRUTH["damping"]) < off[1]
     assert tuning.rollouts <= rollouts + 1
+    assert tuning.verdict == "suspect"
+    assert "other values may match as well" in tuning.reason
 
 
 def test_a_simulator_that_shows_nothing_of_the_log_says_so():
