@@ -308,5 +308,6 @@ def record_of(tuning: Tuning) -> Record:
         seconds=tuning.seconds,
         provenance=tuning.provenance,
         posterior=None if intervals is None or not trace or not trace.fit else trace.fit.posterior,
+        gaps=trace.fit.gaps if trace and trace.fit else (),
         motion=motion,
     )

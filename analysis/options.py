@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
@@ -98,6 +99,7 @@ def parse_mapping(texts: Sequence[str]) -> dict[str, str]:
 # ---- Options of a tuning
 
 
+RUN = re.compile(r"(run|episode|demo):0*(\d+)")  # how `hold_out` names one in a log
 _of_pictures = partial(option, group="drop", subject="pictures")
 _of_ball = partial(option, group="drop", subject="ball")
 _of_arm = partial(option, group="payload", subject="arm")
@@ -230,17 +232,18 @@ class TuneOptions(Hints, ReadOptions):
         metavar="SIGNAL=TARGET",
         is_many=True,
     )
-    together: tuple[Path | Episode, ...] = _of_model(
-        "take the logs for runs of one machine, and tune one set of values to all, each with its "
-        "own start: one result, under the first log's name (in Python: the other logs)",
-        (),
+    together: tuple[Path | Episode, ...] | None = _of_model(
+        "take the logs, and the episodes or runs in each, for runs of one machine, and tune one "
+        "set of values to all, each with its own start: one result, under the first log's name (in "
+        "Python: the other logs, () for none)",
         metavar="LOG",
         is_many=True,
         parse=Path,
     )
     hold_out: Path | Episode | None = _of_model(
-        "judge the values by another run of the machine, which they are not fitted to (default: "
-        "by the last 40 % of the time of each log)",
+        "judge the values by another run of the machine, which they are not fitted to: a log, or "
+        "a run in the first one, such as episode:7 or run:2 (default: by the last 40 % of the time "
+        "of each log)",
         metavar="LOG",
         parse=Path,
     )
@@ -297,7 +300,7 @@ class TuneOptions(Hints, ReadOptions):
         if isinstance(arm := self.given_arm, str):
             object.__setattr__(self, "arm", arm)  # as it is spelled here
         _check_once("--tare ", self.tares, "empty run")
-        _check_once("", (*self.together, self.hold_out), "run of the machine")
+        _check_once("", (*(self.together or ()), self.hold_out), "run of the machine")
         if self.model is None:
             for name, flag in (("parameters", "--tune"), ("mapping", "--map")):
                 if getattr(self, name):

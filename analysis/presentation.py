@@ -711,6 +711,25 @@ def correlations_table(record: Record, names: Mapping[str, str] | None = None) -
     return TextTable(("value", "with", "correlation"), rows, title="correlations")
 
 
+def gaps_table(record: Record) -> TextTable:
+    """Build a row per signal and motion: errors and delays as given and tuned, what is left.
+
+    Where joints' positions are compared, of these alone.
+    """
+    positions = [one for one in record.gaps if ".position" in one.signal]
+    rows = [
+        (
+            quantity(f"{one.motion} {one.signal}".strip(), one.unit)
+            + (", held out" if one.is_held_out else ""),
+            " to ".join(f"{value:.3g}" for value in one.rms),
+            " to ".join(f"{1e3 * value:.0f}" for value in one.delay_s) if one.delay_s else "-",
+            f"{100 * one.left:.2g} %",
+        )
+        for one in (positions or record.gaps)[:_MAX_ROWS]
+    ]
+    return TextTable(("signal", "rms error", "delay [ms]", "left of motion"), rows, title="gap")
+
+
 def remarks(record: Record) -> Items:
     """List what is to be said of the values: cross-check, fit, air, sound, what is not known."""
     if not record.estimates:
@@ -803,6 +822,8 @@ def page_values(record: Record) -> list[Block]:
     blocks: list[Block] = [Heading("Parameters"), shown] if shown.rows else []
     together = correlations_table(record)
     blocks += [Heading("Values that hang together"), together] if together.rows else []
+    gaps = gaps_table(record)
+    blocks += [Heading("Gap to the log, as given and tuned"), gaps] if gaps.rows else []
     return [*blocks, remarks(record)]
 
 
@@ -894,6 +915,8 @@ def result_words(record: Record, preset: str, occasion: str | None) -> str:
     blocks += [notes] if notes.lines else []
     together = correlations_table(record, said_names(known.name for known in record.estimates))
     blocks += [together] if together.rows else []
+    gaps = gaps_table(record)
+    blocks += [TextTable(gaps.heads, gaps.rows[:_MAX_BOUNCES])] if gaps.rows else []
     bounces = bounces_table(record)
     if len(bounces.rows) > 1:
         blocks.append(TextTable(bounces.heads, bounces.rows[:_MAX_BOUNCES]))

@@ -251,6 +251,30 @@ class Posterior:
 
 
 @dataclass(frozen=True)
+class Gap:
+    """How far a simulator is from one signal of one motion, as given and tuned.
+
+    Attributes:
+        signal: The log's, with the column, such as "joints.position elbow".
+        motion: Name of its log or run; "" where there is only one.
+        is_held_out: Whether it was not fitted.
+        unit: Of the RMS errors.
+        rms: As given, and tuned.
+        delay_s: How much later than the simulator the log shows it, as given and tuned; None where
+            it hardly moves.
+        left: Tuned RMS error, in standard deviations of the signal.
+    """
+
+    signal: str
+    motion: str
+    is_held_out: bool
+    unit: str
+    rms: tuple[float, float]
+    delay_s: tuple[float, float] | None
+    left: float
+
+
+@dataclass(frozen=True)
 class Provenance:
     """Provenance of a record.
 
@@ -355,6 +379,7 @@ class Record:
         seconds: Wall time by stage.
         posterior: Of the values of a simulator of one's own, in the order of the estimates; None
             where they have no intervals.
+        gaps: Of each signal that is compared, for a simulator of one's own.
     """
 
     log: str
@@ -380,6 +405,7 @@ class Record:
     seconds: Mapping[str, float] = field(default_factory=dict)
     provenance: Provenance | None = None
     posterior: Posterior | None = None
+    gaps: tuple[Gap, ...] = ()
 
     def estimate(self, name: str) -> Estimate | None:
         """Return the quantity of that name, or None."""
@@ -437,7 +463,10 @@ _WRITTEN: Mapping[type, Callable[[Any], dict[str, Any]]] = {
         "tare": one.tares if len(one.tares) > 1 else (*one.tares, None)[0],
         **({} if one.model else {"model": ...}),
     },
-    Record: lambda record: {} if record.posterior else {"posterior": ...},
+    Record: lambda record: {
+        **({} if record.posterior else {"posterior": ...}),
+        **({} if record.gaps else {"gaps": ...}),
+    },
 }
 
 

@@ -233,10 +233,11 @@ def log_sha256(log: Path) -> str:
                 return state.hexdigest()
         except LogError as error:
             raise OSError(str(error)) from error
+    from tunenet_logs.formats.registry import files_of
+
     state = hashlib.sha256()
-    for path in sorted(log.iterdir()):
-        if path.is_file():
-            state.update(f"{path.name}\0{log_sha256(path)}\n".encode(errors="surrogateescape"))
+    for path in files_of(log):
+        state.update(f"{path.name}\0{log_sha256(path)}\n".encode(errors="surrogateescape"))
     return state.hexdigest()
 
 

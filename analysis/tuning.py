@@ -15,7 +15,7 @@ import numpy as np
 from tunenet_logs.analysis.checks import judge, log_checks
 from tunenet_logs.analysis.estimators.base import Estimator, Step
 from tunenet_logs.analysis.experiment import Experiment, Preset, Tuning, drop_invalid_samples
-from tunenet_logs.analysis.options import Subject, TuneOptions
+from tunenet_logs.analysis.options import RUN, Subject, TuneOptions
 from tunenet_logs.analysis.record import Provenance
 from tunenet_logs.analysis.registry import experiments_of, kinds, kinds_in, method_named
 from tunenet_logs.analysis.result_files import known_sha256
@@ -52,10 +52,12 @@ def _other_runs(options: TuneOptions) -> dict[str, Any]:
     def told(log: Path | Episode) -> dict[str, str] | None:
         if isinstance(log, Episode):
             return None
+        if RUN.fullmatch(str(log)):
+            return {"run": str(log)}
         return {"log": log.name, "sha256": known_sha256(log)}
 
     found: dict[str, Any] = {}
-    if options.together:
+    if options.together is not None:
         found["together"] = [told(log) for log in options.together]
     if options.hold_out is not None:
         found["hold_out"] = told(options.hold_out)
@@ -153,7 +155,7 @@ def tune_episode(
         experiment = SimulatorExperiment(options.source, path)
         episode = trim_clock_jumps(episode)
     else:
-        if options.together or options.hold_out is not None:
+        if options.together is not None or options.hold_out is not None:
             what = "--together and --hold-out are about a model of one's own"
             raise UsageError(what, "name it with --model")
         episode = trim_clock_jumps(without_commands(episode))

@@ -30,6 +30,7 @@ from tunenet_logs.errors import LogError, UsageError, pip_install
 from tunenet_logs.files import real_path
 from tunenet_logs.formats.registry import (
     file_bytes,
+    files_of,
     is_folder,
     is_log_folder,
     is_log_name,
@@ -161,7 +162,7 @@ class LogState:
     def of(cls, log: Path) -> LogState:
         """Read the state of a log on this machine; -1 and 0 if it cannot be read."""
         try:
-            files = [log, *(log.iterdir() if log.is_dir() else ())]
+            files = [log, *files_of(log)]
             return cls(file_bytes(log), max(one.stat().st_mtime_ns for one in files))
         except (OSError, ValueError):
             return cls()

@@ -51,7 +51,14 @@ from tunenet_logs.analysis.checks import Verdict
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Cluster, on_cluster, streamed
-from tunenet_logs.analysis.presentation import Row, number_words, row_of, table
+from tunenet_logs.analysis.presentation import (
+    Row,
+    gaps_table,
+    laid_out,
+    number_words,
+    row_of,
+    table,
+)
 from tunenet_logs.analysis.record import (
     MAX_RECORD_BYTES,
     Record,
@@ -458,6 +465,8 @@ def show(batch: BatchResult, count: int, *, has_table: bool, is_verbose: bool) -
     read = [row for row in rows if row.is_read]
     if read and has_table:
         print(table(read, terminal_columns()))
+        if len(read) == 1 and (gaps := gaps_table(read[0].record)).rows:
+            print(f"\n{laid_out(gaps, terminal_columns())}")
     for result in batch.results:  # warnings, and why a log could not be read or written
         record, is_read = result.row.record, result.row.is_read
         if is_read or not result.trouble:

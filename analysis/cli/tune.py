@@ -65,7 +65,8 @@ TOPICS = {
   tunenet-tune run.mcap --model robot.xml --tune body/tool.mass=0:2 --tune delay/commands
   tunenet-tune run.mcap --model robot.urdf --tune tuned.yaml --map /arm/j1=joint/elbow
   tunenet-tune a.mcap b.mcap --model robot.xml --tune tuned.yaml --together
-  tunenet-tune a.mcap b.mcap --model robot.xml --tune tuned.yaml --together --hold-out c.mcap""",
+  tunenet-tune a.mcap b.mcap --model robot.xml --tune tuned.yaml --together --hold-out c.mcap
+  tunenet-tune my_dataset/ --model so101.xml --tune actuators --together --hold-out episode:7""",
     ),
     "files": Topic(
         "what a file does not say itself",
@@ -231,9 +232,6 @@ def _together(
         raise UsageError("--together is about a model of one's own; name it with --model")
     if is_resumed:
         raise UsageError("--together does not go with --resume; leave one out")
-    first, *others = found.logs
-    if not others:
-        raise UsageError(f"{first.log}: --together is for two logs or more; name another")
     logs = [one.log for one in found.logs]
     if far := [log for log in logs if not isinstance(log, Path)]:
         raise UsageError(f"{far[0]}: --together is for logs on this machine; copy it here first")

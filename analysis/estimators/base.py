@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tunenet_logs.analysis.record import Posterior
+from tunenet_logs.analysis.record import Gap, Posterior
 from tunenet_logs.analysis.tunenet.network import Model
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.errors import NotFoundError, UsageError
@@ -67,6 +67,7 @@ class FitResult:
     detail: Any = None  # The fit itself, for the experiment's own checks and review
     path: tuple[Array, ...] = ()  # Iterates, each of shape (P,) or more, if the fit is iterative
     posterior: Posterior | None = None  # Of the tuned parameters, if their joint one is known
+    gaps: tuple[Gap, ...] = ()  # Of each signal, as given and tuned
 
 
 class Problem:

@@ -22,6 +22,7 @@ from tunenet_logs.analysis.sysid.fit import (
     correlation_length,
     covariance,
     later_part,
+    reach_of,
 )
 from tunenet_logs.analysis.sysid.source import Connected, ModelSource, seen_at, tuned_first
 from tunenet_logs.episode import Array
@@ -147,7 +148,9 @@ class _Selection:
             return self.seen(whole)
 
         parameters = tuple(self.parameters[place] for place in own)
-        steps = RolloutLeastSquares(run, self.connected.target, parameters)
+        connected = self.connected
+        reach = reach_of(parameters, connected.target, connected.logs, connected.joints)
+        steps = RolloutLeastSquares(run, connected.target, parameters, reach=reach, is_rough=True)
         solution = steps.solve(values[own])
         found = values.copy()
         found[own] = solution.values

@@ -147,7 +147,7 @@ SYSID = table(
     CheckSpec(
         "inside its range",
         at_most(0),
-        measures="values on the end of their range (`--tune`)",
+        measures="values that lie beyond their range (`--tune`) with their whole interval",
         passes="none",
         advice="widen the range with --tune, and check the model: something in it may be off",
     ),
@@ -190,16 +190,22 @@ def whole_check(rollout: Episode) -> Check | None:
     return SYSID["simulation is whole"].measured(not stopped, detail=detail)
 
 
-def match_check(target: ComparedColumns, residuals: Array, counts: Array | None = None) -> Check:
-    """Check that each column's residual is its noise, or little of its motion.
-
-    `counts` tells how much each value counts, 0 to 1, shape (N,).
-    """
+def match_check(
+    target: ComparedColumns, residuals: Array, found: SimulatorFit | None = None
+) -> Check:
+    """Check that each column's residual is its noise, or little of its motion."""
+    counts = None if found is None else found.predictable
     spec, left = SYSID["simulation matches"], target.rms(residuals, counts)
     spreads, noises, good = [], noises_of(target, residuals), []
     for column in target.columns:
         most = max(one.spread for one in target.columns if one.unit == column.unit)
-        spreads.append(max(column.spread, 1e-2 * most, 1e-12))  # by the largest of its unit
+        # By the largest of its unit; axes of a turn by the turn, of which one may show little.
+        turned = (
+            one.spread
+            for one in target.columns
+            if one.signal == column.signal and " axis " in one.name and " axis " in column.name
+        )
+        spreads.append(max(column.spread, 1e-2 * most, 1e-12, *turned))
         # A jump met a little early or late leaves some.
         good.append(0.1 if column.is_jumpy else spec.limit.value / 100)
     limits = np.maximum(1.3 * noises / np.array(spreads), np.array(good))
@@ -207,7 +213,11 @@ def match_check(target: ComparedColumns, residuals: Array, counts: Array | None 
     share = left[place] / spreads[place]
     where = "" if counts is None or np.all(counts > 0.5) else " (less counts where it is chaotic)"
     return spec.measured(
-        100 * share, 100 * limits[place], column=target.columns[place].label, where=where
+        100 * share,
+        100 * limits[place],
+        invalidates_interval=found is None or not found.is_tried,
+        column=target.columns[place].label,
+        where=where,
     )
 
 
@@ -239,6 +249,7 @@ def _held_out_check(found: SimulatorFit, held_out: HeldOut) -> Check:
         rms[place],
         limits[place],
         passed=None if held_out.is_told else False,
+        invalidates_interval=not found.is_tried,
         unit="" if column.unit == "1" else column.unit,
         space="" if column.unit == "1" else " ",
         from_s=from_s[place],
@@ -267,10 +278,9 @@ def other_checks(detection: SimulatorDetection, found: SimulatorFit | None) -> t
     checks: list[Check] = []
     for name, log in detection.others.items():
         checks += [replace(one, name=f"{name}: {one.name}") for one in log_checks(log, ())[:1]]
-    for one in detection.connected.unseen:
-        if one.place is None:
-            moves = recording_checks(one.target)
-            checks += [replace(each, name=f"{one.name}: {each.name}") for each in moves]
+    if (held_out := detection.connected.held_out) is not None:
+        moves = recording_checks(held_out.target)
+        checks += [replace(one, name=f"{held_out.name}: {one.name}") for one in moves]
     if found is not None and found.agreement is not None:
         checks.append(agreement_check(found, found.agreement))
     return tuple(checks)
@@ -293,14 +303,19 @@ def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
     # Values on the ends of their ranges.
     tuned = found.parameters[: found.tuned]
     edged: list[str] = []
-    for one, value in zip(tuned, found.solution.values.tolist(), strict=False):
+    ends = zip(tuned, found.solution.values.tolist(), found.half95.tolist(), strict=False)
+    for one, value, half in ends:
         (low, high), (least, most) = one.training_range, one.bounds
         slack = 0.002 * (high - low)
         # Physical bounds aside.
-        if (value <= low + slack and low > least) or (value >= high - slack and high <= most):
+        is_low = value + half <= low + slack and low > least
+        if is_low or (value - half >= high - slack and high <= most):
             edged.append(one.name)
-    detail = f"on the end: {listed(edged, _FEW)}" if edged else "no value lies on its range's end"
-    checks.append(SYSID["inside its range"].measured(len(edged), detail=detail))
+    detail = f"beyond: {listed(edged, _FEW)}" if edged else "every value may lie in its range"
+    inside = SYSID["inside its range"]
+    checks.append(
+        inside.measured(len(edged), detail=detail, invalidates_interval=not found.is_tried)
+    )
     # Parameters that the motion does not tell, with those that each is confounded with.
     hidden, words, advice = found.unidentifiable, list[str](), ""
     for parameter in hidden:

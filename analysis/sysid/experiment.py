@@ -26,7 +26,7 @@ from tunenet_logs.analysis.estimators.base import (
     Trace,
 )
 from tunenet_logs.analysis.experiment import Claim, Preset, drop_invalid_samples
-from tunenet_logs.analysis.options import Subject, TuneOptions
+from tunenet_logs.analysis.options import RUN, Subject, TuneOptions
 from tunenet_logs.analysis.record import Motion, Rebound
 from tunenet_logs.analysis.sysid.actuators import choose
 from tunenet_logs.analysis.sysid.checks import (
@@ -37,8 +37,15 @@ from tunenet_logs.analysis.sysid.checks import (
     untold_check,
     whole_check,
 )
-from tunenet_logs.analysis.sysid.fit import ComparedColumns, SimulatorFit, fit_simulator
-from tunenet_logs.analysis.sysid.horizons import Begun, Unseen, predicted
+from tunenet_logs.analysis.sysid.fit import (
+    Begun,
+    ComparedColumns,
+    Run,
+    SimulatorFit,
+    fit_simulator,
+)
+from tunenet_logs.analysis.sysid.horizons import Unseen, anew, predicted
+from tunenet_logs.analysis.sysid.matching import runs_of
 from tunenet_logs.analysis.sysid.source import (
     Connected,
     ModelSource,
@@ -57,7 +64,7 @@ from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageErro
 from tunenet_logs.files import real_path
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.simulators.base import Parameter
-from tunenet_logs.terminal import Progress, told
+from tunenet_logs.terminal import Progress, listed, told
 from tunenet_logs.timing.stamps import trim_clock_jumps
 
 if TYPE_CHECKING:
@@ -225,11 +232,17 @@ class SimulatorProblem(Problem):
         """Wrap what is held out: each rollout that begins in it is charged as one."""
 
         def charged(begun: Begun | None) -> Begun | None:
-            return begun and replace(begun, run=lambda values: counted(begun, values))
+            if begun is None:
+                return None
+            finer = None if begun.finer is None else counted(begun.finer)
+            return replace(begun, run=counted(begun.run), finer=finer)
 
-        def counted(begun: Begun, values: Array) -> Array:
-            self.rollouts += len(values)
-            return begun.run(values)
+        def counted(run: Run) -> Run:
+            def charging(values: Array) -> Array:
+                self.rollouts += len(values)
+                return run(values)
+
+            return charging
 
         def begin(from_s: float, until_s: float) -> Begun | None:
             return unseen.begin and charged(unseen.begin(from_s, until_s))
@@ -239,8 +252,9 @@ class SimulatorProblem(Problem):
     def _fit(self, start: Array) -> FitResult:
         connected = self._connected
         finer, predict = connected.finer, None
-        if connected.unseen:
-            unseen = [self._charged(one) for one in connected.unseen]
+        fitted = [self._charged(one) for one in connected.unseen]
+        unseen = fitted if connected.held_out is None else [self._charged(connected.held_out)]
+        if unseen:
             given = np.array([one.initial for one in self.parameters])
             predict = partial(predicted, unseen, given)
         fit = fit_simulator(
@@ -254,9 +268,11 @@ class SimulatorProblem(Problem):
             connected.later,
             connected.logs,
             connected.omitted,
+            partial(anew, fitted) if fitted else None,
+            connected.joints,
         )
         found: SimulatorFit = fit.detail
-        self._rest = found.solution.values[len(start) :]
+        self._rest = found.solution.values[len(start) : len(self._all)]
         return fit
 
 
@@ -289,55 +305,81 @@ class SimulatorExperiment:
     def detect(self, episode: Episode, selection: TuneOptions, preset: str) -> SimulatorDetection:
         """Match the log's signals with the simulator's; see `Experiment.detect`."""
         del preset
-        for one in (*selection.together, selection.hold_out):
+        for one in (*(selection.together or ()), selection.hold_out):
             if isinstance(one, Path) and real_path(one) == real_path(self.log):
                 raise UsageError(f"{one} is named twice; name each run of the machine once")
-        logs = [self.log, *(_path_of(one, "log") for one in selection.together)]
-        names = names_of(logs)
-        episodes = [episode, *(_read(one, selection) for one in selection.together)]
-        parts, connected = self._all_connected(logs, names, episodes, selection)
+        runs, held_out = self._runs(episode, selection)
+        parts, connected = self._all_connected(runs, selection)
         if isinstance(self.source, ModelSource) and self.source.is_to_choose:
             choice = choose(connected, self.source)
             chosen = replace(self, source=self.source.choosing(choice.values))
-            parts, connected = chosen._all_connected(logs, names, episodes, selection)
+            parts, connected = chosen._all_connected(runs, selection)
             omitted = choice.omitted(tuned_first(connected.simulator.parameters))
             doubts = (*connected.doubts, *choice.words)
             connected = replace(connected, doubts=doubts, omitted=omitted)
-            return chosen._held_out(connected, parts, names, episodes, selection)
-        return self._held_out(connected, parts, names, episodes, selection)
+            return chosen._held_out(connected, parts, runs, held_out, selection)
+        return self._held_out(connected, parts, runs, held_out, selection)
 
     def _all_connected(
-        self,
-        logs: Sequence[Path],
-        names: tuple[str, ...],
-        episodes: Sequence[Episode],
-        selection: TuneOptions,
+        self, runs: Mapping[str, _Run], selection: TuneOptions
     ) -> tuple[list[Connected], Connected]:
-        """Connect each log, and all together."""
+        """Connect each run, and all together."""
         parts = [
-            self._connected(one, selection, log if number else None)
-            for number, (log, one) in enumerate(zip(logs, episodes, strict=True))
+            self._connected(one, selection, said if number else None)
+            for number, (said, one) in enumerate(runs.values())
         ]
-        return parts, together(names, parts) if len(parts) > 1 else parts[0]
+        return parts, together(tuple(runs), parts) if len(parts) > 1 else parts[0]
+
+    def _runs(
+        self, episode: Episode, selection: TuneOptions
+    ) -> tuple[dict[str, _Run], dict[str, _Run]]:
+        """Return the runs that are fitted, and one that is held out if any is, by their names."""
+        logs = [self.log, *(_path_of(one, "log") for one in selection.together or ())]
+        every = [episode, *(_read(one, selection) for one in selection.together or ())]
+        held = selection.hold_out
+        told = RUN.fullmatch(str(held)) if isinstance(held, Path) else None
+        runs: dict[str, _Run] = {}
+        for name, log, whole in zip(names_of(logs), logs, every, strict=True):
+            is_split = selection.together is not None or told is not None
+            for run, one in (runs_of(whole) if is_split else {"": whole}).items():
+                shown = f"{name} {run}" if run and len(logs) > 1 else run or name
+                runs[shown] = f"{log} {run}".strip(), one
+        held_out: dict[str, _Run] = {}
+        if told is not None:
+            wanted = f"{told[1]}{'_' * (told[1] == 'demo')}{told[2]}"
+            name = wanted if len(logs) == 1 else f"{names_of(logs)[0]} {wanted}"
+            if name not in runs or len(runs) == 1:
+                there = f"there is: {listed(runs)}" if len(runs) > 1 else "it holds one run alone"
+                raise UsageError(f"{self.log}: has no {held} to hold out; {there}")
+            held_out[f"{name} (held out)"] = runs.pop(name)
+            if selection.together is None:
+                runs = dict([next(iter(runs.items()))])
+        elif held is not None:
+            log = _path_of(held, "held out")
+            name = f"{names_of([log])[0]} (held out)" if log.suffix else log.name
+            held_out[name] = str(log), _read(held, selection)
+        if selection.together == () and len(runs) + len(held_out) == 1:
+            what = "--together is for two logs or runs, or more"
+            raise UsageError(f"{self.log}: holds one run; {what}", "name another log")
+        return runs, held_out
 
     def _held_out(
         self,
         connected: Connected,
         parts: Sequence[Connected],
-        names: tuple[str, ...],
-        episodes: Sequence[Episode],
+        runs: Mapping[str, _Run],
+        held_out: Mapping[str, _Run],
         selection: TuneOptions,
     ) -> SimulatorDetection:
-        """Make the detection, with the log that is held out."""
+        """Make the detection, with the run that is held out."""
+        episodes = [episode for _, episode in runs.values()]
         episode = episodes[0]
-        others = dict(zip(names[1:], episodes[1:], strict=True))
-        if selection.hold_out is not None:
-            log = _path_of(selection.hold_out, "held out")
-            name = f"{names_of([log])[0]} (held out)" if log.suffix else log.name
-            others[name] = held_out = _read(selection.hold_out, selection)
-            unseen = held_out_log(name, self._connected(held_out, selection, log))
+        others = {name: one for name, (_, one) in [*runs.items()][1:]}
+        for name, (said, one) in held_out.items():
+            others[name] = one
+            unseen = held_out_log(name, self._connected(one, selection, said))
             nothing = np.zeros(len(connected.target.values), dtype=np.bool_)
-            connected = replace(connected, unseen=(unseen,), later=nothing)
+            connected = replace(connected, held_out=unseen, later=nothing)
         first_ns = min(int(one.stamps_ns[0]) for one in episode.signals.values())
         offset_s = (connected.target.start_ns - first_ns) * 1e-9
         lacking = [
@@ -347,14 +389,14 @@ class SimulatorExperiment:
         ]
         return SimulatorDetection(self.source, connected, offset_s, tuple(lacking), others)
 
-    def _connected(self, episode: Episode, selection: TuneOptions, log: Path | None) -> Connected:
-        """Connect a log; what is wrong with another than the first names it."""
+    def _connected(self, episode: Episode, selection: TuneOptions, said: str | None) -> Connected:
+        """Connect a run; what is wrong with another than the first names it."""
         try:
             return self.source.connect(part_of(episode, selection.start_s, selection.end_s))
         except (NotFoundError, LogError) as error:
-            if log is None:
+            if said is None:
                 raise
-            raise type(error)(f"{log}: {error.what}", error.remedy) from error
+            raise type(error)(f"{said}: {error.what}", error.remedy) from error
 
     def problem(self, detection: SimulatorDetection, initial: Array) -> Problem:
         """Pose least squares by rollouts; see `Experiment.problem`."""
@@ -370,12 +412,14 @@ class SimulatorExperiment:
         assert last.evaluation is not None
         target = detection.connected.target
         residuals = target.seen_in(last.evaluation.episode) - target.values
+        if fit is not None and fit.detail.is_begun_anew:
+            residuals = fit.detail.solution.residuals
         whole = whole_check(last.evaluation.episode)
         checks = (*recording_checks(target), *([whole] if whole else []))
         others = other_checks(detection, fit.detail if fit else None)
-        counts = fit.detail.predictable if fit else None
-        checks = (*checks, *others, match_check(target, residuals, counts))
-        return (*checks, *(fit_checks(fit.detail) if fit else [untold_check(len(last.values))]))
+        found = fit.detail if fit else None
+        checks = (*checks, *others, match_check(target, residuals, found))
+        return (*checks, *(fit_checks(found) if found else [untold_check(len(last.values))]))
 
     def cross_check(self, detection: SimulatorDetection, estimate: Array) -> CrossCheck | None:
         """Return None: the hold-out is the check; see `Experiment.cross_check`."""
@@ -401,6 +445,9 @@ class SimulatorExperiment:
         from tunenet_logs.analysis.sysid.review import log_simulator
 
         return log_simulator(stream, tuning)
+
+
+_Run = tuple[str, Episode]  # what it is called in errors, and its signals
 
 
 def _path_of(log: Path | Episode, name: str) -> Path:

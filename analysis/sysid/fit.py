@@ -7,7 +7,7 @@ time step says so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tunenet_logs.analysis.estimators.base import FitResult
 from tunenet_logs.analysis.estimators.damped import Damping, damped_step
-from tunenet_logs.analysis.record import Posterior
+from tunenet_logs.analysis.record import Gap, Posterior
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.recorders.simulators.base import Parameter
@@ -42,6 +42,11 @@ class Column:
     def label(self) -> str:
         """Title of the column."""
         return f"{self.signal} {self.name}"
+
+    @property
+    def is_place(self) -> bool:
+        """Whether it is a position or an angle, as which alone a motion goes astray."""
+        return self.unit in ("m", "rad", "1")
 
     @property
     def is_jumpy(self) -> bool:
@@ -215,6 +220,7 @@ def noises_of(target: ComparedColumns, residuals: Array) -> Array:
 # ---- How a small error of the start grows
 
 GROWTH = 10.0  # of an error of the start, from which on little is predicted
+GROWN = 30.0  # from which on a fit begins anew
 BINS = 200  # of time, over which growth is told
 _CHANGES = 10  # that a log has at least, of a part that is compared with what follows
 
@@ -314,11 +320,78 @@ class Differences:
         return best
 
 
+# ---- Which values a parameter moves: those that move others are moved in one rollout
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """Which of M values each of P parameters moves."""
+
+    only: NDArray[np.bool_]  # these and no other, shape (P, M)
+    mostly: NDArray[np.bool_]  # others little, as a servo does other joints, shape (P, M)
+
+    @cached_property
+    def is_rough(self) -> bool:
+        """Whether what is mostly moved is less than all."""
+        return not np.array_equal(self.only, self.mostly)
+
+
+def reach_of(
+    parameters: Sequence[Parameter],
+    target: ComparedColumns,
+    logs: tuple[tuple[str, ...], NDArray[np.intp]] | None,
+    joints: Mapping[str, str],
+) -> Reach:
+    """Tell it by names: a start is of one log, `joints` are those of servos by their addresses."""
+    every = np.ones((len(parameters), len(target.values)), np.bool_)
+    mostly = every.copy()
+    for number, one in enumerate(parameters):
+        log, mark, address = one.name.rpartition(": ")
+        if mark and logs is not None:
+            every[number] = logs[1] == logs[0].index(log)
+        own = np.array([column.name == joints.get(address) for column in target.columns])
+        mostly[number] = every[number] & own[target.which] if own.any() else every[number]
+    return Reach(every, mostly)
+
+
+def _groups(
+    mask: NDArray[np.bool_] | None, count: int
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Group parameters that move no value both, (G, P), and return what each moves, (P, M or 1)."""
+    if mask is None:
+        return np.eye(count, dtype=np.bool_), np.ones((count, 1), np.bool_)
+    groups, taken = list[NDArray[np.bool_]](), list[NDArray[np.bool_]]()
+    for number, own in enumerate(mask):
+        place = next((at for at, one in enumerate(taken) if not (one & own).any()), len(groups))
+        if place == len(groups):
+            groups.append(np.zeros(count, np.bool_))
+            taken.append(np.zeros(mask.shape[1], np.bool_))
+        groups[place][number], taken[place] = True, taken[place] | own
+    return np.array(groups), mask
+
+
 # ---- Nonlinear least squares by rollouts: Levenberg-Marquardt
 # The columns' noise is not known beforehand: in the end, each is weighted by its residual.
 
 # Rollouts at values of shape (N, P) -> what they show at the log's stamps, shape (N, M).
 Run = Callable[[Array], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """Simulator that begins anew inside a log, with the state that the log shows there."""
+
+    target: ComparedColumns  # what is compared, from there to the end that was asked for
+    starts: tuple[Parameter, ...]  # S of that state
+    run: Run  # rollouts at values of the T tuned parameters and of the state, shape (N, T + S)
+    finer: Run | None = None  # likewise with half the time step
+
+
+# From the T tuned values whenever an error of the start has grown far, or None: in the middle of
+# each log. Which values, shape (M,), are seen from each begin; none where it cannot.
+Shots = Sequence[tuple[NDArray[np.bool_], Begun]]
+Anew = Callable[[Array | None], Shots]
+
 _FIRST_DAMPING = 1e-4
 _DAMPING = Damping(tries=7, raised_by=10, lowered_by=30, least=1e-7, raised_from=1e-3)
 _NO_GAIN = 0.05  # of the cost: a step that lowers it by less is the last
@@ -384,8 +457,11 @@ class RolloutLeastSquares:
     parameters: tuple[Parameter, ...]  # all that are fitted, P of them
     fitted: NDArray[np.bool_] | None = None  # which values it is fitted to, shape (M,); None: all
     counts: Array | None = None  # how much each value counts, 0 to 1, shape (M,); None: all alike
+    reach: Reach | None = None  # which values each parameter moves; None: all
+    is_rough: bool = False  # whether slopes stay those of `Reach.mostly` to the end
 
     def __post_init__(self) -> None:
+        self._apart = _groups(self.reach.mostly if self.reach else None, len(self.parameters))
         self._scales = ranges_of(self.parameters)
         self._bounds = np.array([one.bounds for one in self.parameters]).T
         self._centres = np.array(
@@ -421,6 +497,12 @@ class RolloutLeastSquares:
         scaled = residuals / self.target.per_value(noise)
         fit = float(np.sum(self.chosen * scaled**2))
         return fit + float(np.sum(self._precision * (values - self._centres) ** 2))
+
+    def unlikely(self, solution: Solution) -> float:
+        """Return twice the negative log likelihood and prior, each column's noise being unknown."""
+        counts = np.bincount(self.target.which, self.chosen, minlength=len(self.target.columns))
+        fit = 2.0 * float(counts @ np.log(self.left(solution.residuals)))
+        return fit + float(np.sum(self._precision * (solution.values - self._centres) ** 2))
 
     def curvature(self, solution: Solution, along: Array) -> float:
         """Return the linearised rise of the cost per squared step along (P,)."""
@@ -486,6 +568,9 @@ class RolloutLeastSquares:
         """Iterate from values of shape (P,) until steps are small beside the noise."""
         path: list[Array] = []
         values, residuals, noise = self._settled(start, path, is_central=True)
+        if self.reach is not None and not self.is_rough and self.reach.is_rough:
+            self._apart, self._known = _groups(self.reach.only, len(values)), None
+            values, residuals = self._descend(values, residuals, noise, path, is_central=True)
         seen = self._differences(values, residuals, is_central=True)
         return Solution(
             values,
@@ -639,15 +724,19 @@ class RolloutLeastSquares:
         # Roll out beside the place, all at once.
         low, high = self._bounds
         moved = np.where(values + steps > high, -steps, steps)
-        beside = values + np.diag(moved)
+        groups, mask = self._apart
         if is_central:
             inside = (values - moved >= low) & (values - moved <= high)
             back = np.where(inside, -moved, 0.0)
-            off = self.residuals(np.concatenate([beside, values + np.diag(back)]))
-            count = len(values)
-            known = Differences(values, residuals, moved, off[:count], back, off[count:])
+            off = self.residuals(np.concatenate([values + groups * moved, values + groups * back]))
+            beside, behind = (
+                np.where(mask, some[groups.argmax(axis=0)], residuals)
+                for some in (off[: len(groups)], off[len(groups) :])
+            )
+            known = Differences(values, residuals, moved, beside, back, behind)
         else:
-            known = Differences(values, residuals, moved, self.residuals(beside))
+            off = self.residuals(values + groups * moved)[groups.argmax(axis=0)]
+            known = Differences(values, residuals, moved, np.where(mask, off, residuals))
         self._known = known
         return known
 
@@ -743,6 +832,9 @@ def covariance(
 MISSED = 0.03  # of how much a column varies in what is held out, that may be missed
 TOLD = 0.6  # of the sd of what others have: a log that leaves more tells nothing of it
 _LOOSENED, _LOOSEST = 1.5, 10.0  # times as unsure a start as read: from when on, and at most
+_LOST = 0.2  # of how much a column varies: with more left, no start leads to a log's end
+_PARTS = 3  # of a log that is begun anew, by which its intervals are tried
+_FEW_SHOTS = 8  # pieces of a log; of more, other starts cost too much to be followed
 _LOOKS = 2  # at where a motion is predictable, from the start and from what that gave
 _CONTRADICTS = 4.0  # of the cost, twice a log likelihood: two standard deviations
 
@@ -761,6 +853,7 @@ class HeldOut:
     # Residual of straight lines in its place, and standard deviation there, shape (C,) both.
     straight: Array | None = None
     spread: Array | None = None
+    whole: Array | None = None  # of a run that is held out: as given and predicted, shape (2, N)
 
     @property
     def limits(self) -> Array:
@@ -824,6 +917,8 @@ class SimulatorFit:
     correlation: Array  # of all values, shape (P, P)
     inflation: Array  # ratio of each sd to that with all others known, shape (P,)
     predictable: Array  # how much each value says of the model, 0 to 1, shape (M,)
+    is_begun_anew: bool  # whether the rollout begins anew, wherever an error of its start has grown
+    is_tried: bool  # whether the intervals were tried, and widened, by parts of what was fitted
     agreement: Agreement | None = None  # of several logs
 
     @property
@@ -854,6 +949,8 @@ def fit_simulator(
     later: NDArray[np.bool_] | None = None,
     logs: tuple[tuple[str, ...], NDArray[np.intp]] | None = None,
     omitted: Callable[[Array], Array] | None = None,
+    anew: Anew | None = None,
+    joints: Mapping[str, str] | None = None,
 ) -> FitResult:
     """Fit all parameters to a log, the user's from `start`, shape (T,).
 
@@ -861,21 +958,24 @@ def fit_simulator(
     each parameter, one standard deviation, shape (P,). `predict` tells how well a fit predicts
     what is held out, `later` what of the log that is, shape (M,): the last 40 % of the time. `logs`
     are the names of several, and which each value is of, shape (M,). `omitted` tells what the
-    rollout at values, shape (P,), would change by each effect that is left out, (G, M).
+    rollout at values, shape (P,), would change by each effect that is left out, (G, M). `anew`
+    begins rollouts inside the log. `joints` are those that servos' parameters move, by their
+    addresses.
     """
     from scipy.special import stdtrit
 
     tuned = len(start)
-    steps = RolloutLeastSquares(run, target, parameters)
+    reach = reach_of(parameters, target, logs, joints or {})
+    steps = RolloutLeastSquares(run, target, parameters, reach=reach)
     given = np.array([one.initial for one in parameters])
     first = run(given[None])[0]
-    solution = steps.solve(np.concatenate([start, given[tuned:]]))
     which = np.zeros(len(target.values), dtype=np.intp) if logs is None else logs[1]
-    if not _is_good(solution, target):
-        steps, solution = _where_predictable(steps, solution, which)
-    steps, solution = _loosened(steps, solution)
-    if not _is_good(solution, target):
-        solution = _from_elsewhere(steps, solution, tuned)
+    steps, solution, shots = _followed(steps, start, which, anew)
+    if shots:
+        finer = _shooting(shots, target, parameters[:tuned], is_finer=True).run
+        more = np.zeros(len(solution.values) - tuned)
+        unresolved = None if unresolved is None else np.concatenate([unresolved[:tuned], more])
+        omitted = None
     parameters = steps.parameters
     cov, independent = covariance(solution, target, parameters)
     sd = np.sqrt(np.diag(cov))
@@ -898,10 +998,26 @@ def fit_simulator(
     if unresolved is not None:  # the others follow what the step leaves unsure of one
         followed = cov * (unresolved / np.diag(cov))
         wide = np.sqrt(wide**2 + np.sum(followed**2, axis=1))
-    agreement = None if logs is None else _agreement(steps, solution, tuned, *logs)
+    agreement = None
+    if logs is not None:
+        agreement = _agreement(steps, solution, tuned, *logs)
+    elif shots:  # in three parts
+        order = np.argmax([seen for seen, _ in sorted(shots, key=_begins_s)], axis=0)
+        which = order * min(_PARTS, len(shots)) // len(shots)
+        agreement = _agreement(steps, solution, tuned, ("",) * (int(which.max()) + 1), which)
     if agreement is not None:
         wide[:tuned] *= agreement.birge
-    half95 = float(stdtrit(max(independent - len(sd), 3.0), 0.975)) * wide  # Student's t
+    students = float(stdtrit(max(independent - len(sd), 3.0), 0.975))  # Student's t
+    held_out = _held_out(
+        steps, solution, first, tuned, later_part(target) if later is None else later, predict
+    )
+    is_tried = agreement is not None
+    if not is_tried and anew is not None and not _is_noise(steps, solution, held_out):
+        apart = _apart(anew(None), parameters[:tuned], solution)
+        is_tried = apart is not None
+        if apart is not None:
+            wide[:tuned] = np.maximum(wide[:tuned], apart / students)
+    half95 = students * wide
     low, high = np.array([one.bounds for one in parameters]).T
     ends = np.stack([solution.values - half95, solution.values + half95])
     ends = np.clip(ends, low, high)
@@ -915,15 +1031,15 @@ def fit_simulator(
         wide,
         half95,
         shift,
-        _held_out(
-            steps, solution, first, tuned, later_part(target) if later is None else later, predict
-        ),
+        held_out,
         correlation,
         steps.inflation(solution),
         np.ones(len(which))
-        if _is_good(solution, target)
+        if shots or _is_good(solution, target)
         else _predictable(steps, solution, which)[1],
-        agreement,
+        bool(shots),
+        is_tried,
+        None if logs is None else agreement,
     )
     posterior = Posterior(
         tuple((half95[:tuned] / 1.96).tolist()),  # as wide as the intervals
@@ -938,7 +1054,54 @@ def fit_simulator(
         detail=detail,
         path=solution.path,
         posterior=posterior,
+        gaps=_gaps(detail, logs),
     )
+
+
+def _gaps(
+    fit: SimulatorFit, logs: tuple[tuple[str, ...], NDArray[np.intp]] | None
+) -> tuple[Gap, ...]:
+    """Compare each column of each log with the simulator, as given and tuned."""
+    target, found = fit.target, list[Gap]()
+    for number, column in enumerate(target.columns):
+        mine = target.which == number
+        motion = "" if logs is None else logs[0][int(logs[1][mine][0])]
+        own = replace(column, signal=column.signal.removeprefix(f"{motion}: "))
+        found.append(_gap(own, motion, fit.first[mine], fit.simulated[mine]))
+    held = fit.held_out
+    if held is not None and held.whole is not None:
+        ends = np.cumsum([len(one.values) for one in held.columns])
+        for column, end in zip(held.columns, ends.tolist(), strict=True):
+            motion, _, signal = column.signal.partition(": ")
+            motion = motion.removesuffix(" (held out)")
+            first, tuned = held.whole[:, end - len(column.values) : end]
+            own = replace(column, signal=signal)
+            found.append(replace(_gap(own, motion, first, tuned), is_held_out=True))
+    return tuple(found)
+
+
+_LAG_S, _LAGS = 0.3, 121  # of a simulator, to each side; how many are tried
+
+
+def _gap(column: Column, motion: str, *both: Array) -> Gap:
+    rms, delays = list[float](), list[float]()
+    lags = np.linspace(-_LAG_S, _LAG_S, _LAGS)
+    for curve in both:
+        good = np.isfinite(curve)
+        if not good.any():  # it was stopped
+            return Gap(column.label, motion, False, column.unit, (np.nan, np.nan), None, np.nan)
+        at_s, seen, own = column.seconds[good], column.values[good], curve[good]
+        rms.append(float(np.sqrt(np.mean((own - seen) ** 2))))
+        # What changes alone: an offset is no delay.
+        inside = (at_s > at_s[0] + _LAG_S) & (at_s < at_s[-1] - _LAG_S)
+        moved = [np.std(np.interp(at_s - lag, at_s, own)[inside] - seen[inside]) for lag in lags]
+        at = int(np.argmin(moved)) if inside.sum() > 2 and np.std(own) > 0 else -1
+        delays.append(float(lags[at]) if 0 < at < _LAGS - 1 else np.nan)
+    delay_s = (delays[0], delays[1])
+    is_told = column.spread > 3 * column.noise and bool(np.isfinite(delay_s).all())
+    left = rms[1] / max(column.spread, 1e-12)
+    signal, unit = column.label, column.unit
+    return Gap(signal, motion, False, unit, (rms[0], rms[1]), delay_s if is_told else None, left)
 
 
 def _walked(steps: RolloutLeastSquares, solution: Solution, cov: Array, tuned: int) -> Array:
@@ -1015,6 +1178,63 @@ def _where_predictable(
     return (weighed, found) if _is_good(found, steps.target) else (steps, solution)
 
 
+def _followed(
+    steps: RolloutLeastSquares, start: Array, which: NDArray[np.intp], anew: Anew | None
+) -> tuple[RolloutLeastSquares, Solution, Shots]:
+    """Fit from the log's start, or begun anew where no start leads to its end; `start` is (T,)."""
+    target, parameters, tuned = steps.target, steps.parameters, len(start)
+    begins = [one.initial for one in parameters[tuned:]]
+    solution = steps.solve(np.concatenate([start, begins]))
+    shots: Shots = ()
+    if not _is_good(solution, target) and anew is not None:
+        spreads = [max(one.spread, 1e-12) if one.is_place else np.inf for one in target.columns]
+        left = steps.left(solution.residuals) / spreads
+        grows = _predictable(steps, solution, which)[1].min() < (GROWTH / GROWN) ** 2
+        if grows or np.any(left > _LOST):
+            shots = anew(solution.values[:tuned]) or anew(start)
+    if not shots:
+        if not _is_good(solution, target):
+            steps, solution = _where_predictable(steps, solution, which)
+        steps, solution = _loosened(steps, solution)
+        if not _is_good(solution, target):
+            solution = _from_elsewhere(steps, solution, tuned)
+        return steps, solution, shots
+    steps = _shooting(shots, target, parameters[:tuned])
+    begins = [one.initial for one in steps.parameters[tuned:]]
+    solution = steps.solve(np.concatenate([start, begins]))
+    if len(shots) <= _FEW_SHOTS and not _is_good(solution, target):
+        solution = _from_elsewhere(steps, solution, tuned, is_rough=True)
+    steps, solution = _loosened(steps, solution)
+    return steps, solution, shots
+
+
+def _begins_s(shot: tuple[NDArray[np.bool_], Begun]) -> int:
+    return shot[1].target.start_ns
+
+
+def _shooting(
+    shots: Shots,
+    target: ComparedColumns,
+    tuned: tuple[Parameter, ...],
+    *,
+    is_finer: bool = False,
+) -> RolloutLeastSquares:
+    """Pose the fit of a log that is begun anew several times (multiple shooting; Bock 1983)."""
+    ends = len(tuned) + np.cumsum([0, *(len(begun.starts) for _, begun in shots)])
+
+    def run(values: Array) -> Array:
+        found = np.full((len(values), len(target.values)), np.nan)
+        for number, (seen, begun) in enumerate(shots):
+            own = values[:, [*range(len(tuned)), *range(ends[number], ends[number + 1])]]
+            rows, place = np.unique(own, axis=0, return_inverse=True)
+            roll = begun.finer if is_finer and begun.finer else begun.run
+            found[:, seen] = roll(rows)[place.ravel()]
+        return found
+
+    starts = [one for _, begun in shots for one in begun.starts]
+    return RolloutLeastSquares(run, target, (*tuned, *starts))
+
+
 def _loosened(
     steps: RolloutLeastSquares, solution: Solution
 ) -> tuple[RolloutLeastSquares, Solution]:
@@ -1049,8 +1269,13 @@ def _loosened(
     return steps, replace(again, path=(*solution.path, *again.path[1:]))
 
 
-def _from_elsewhere(steps: RolloutLeastSquares, solution: Solution, tuned: int) -> Solution:
-    """Restart from the best of many quasi-random (Halton) starts; keep the best solution."""
+def _from_elsewhere(
+    steps: RolloutLeastSquares, solution: Solution, tuned: int, *, is_rough: bool = False
+) -> Solution:
+    """Restart from the best of many quasi-random (Halton) starts; keep the likeliest solution.
+
+    Where a fit that begins anew is rough, more of them are followed to their end.
+    """
     from scipy.stats import qmc
 
     low, high = np.array([one.training_range for one in steps.parameters[:tuned]]).T
@@ -1061,14 +1286,15 @@ def _from_elsewhere(steps: RolloutLeastSquares, solution: Solution, tuned: int) 
     coarse = steps.coarse()
     costs = [steps.cost(row, start, coarse) for row, start in zip(off, starts, strict=True)]
     least = steps.cost(solution.residuals, solution.values, coarse)
-    for place in np.argsort(costs)[:2]:
+    likeliest = steps.unlikely(solution)
+    for place in np.argsort(costs)[: 4 if is_rough else 2]:
         values, residuals = steps.coarsely(starts[place], off[place])
-        if steps.cost(residuals, values, coarse) >= _LOWER * least - 2.0:  # it ends no better
+        cost = steps.cost(residuals, values, coarse)
+        if not is_rough and cost >= _LOWER * least - 2.0:  # it ends no better
             continue
         other = steps.solve(values)
-        cost = steps.cost(other.residuals, other.values, coarse)
-        if cost < least:
-            least = cost
+        if steps.unlikely(other) < likeliest:
+            least, likeliest = min(least, cost), steps.unlikely(other)
             solution = replace(other, path=(*solution.path[:1], *other.path))
         if _is_good(solution, steps.target):
             break
@@ -1096,6 +1322,38 @@ def _possible(change: Array, by: Array, solution: Solution, target: ComparedColu
     left = change - solution.slopes @ by
     seen = np.sum(solution.chosen * (left / target.per_value(solution.noise)) ** 2)
     return 1.0 / (1.0 + float(seen) / solution.together)
+
+
+def _is_noise(steps: RolloutLeastSquares, solution: Solution, held_out: HeldOut | None) -> bool:
+    """Return whether what is left is the noise, and what is held out is predicted."""
+    left = steps.left(solution.residuals)
+    noise = np.array([np.inf if one.is_jumpy else one.noise for one in steps.target.columns])
+    is_met = held_out is None or held_out.spread is None or np.all(held_out.rms < held_out.limits)
+    return bool(is_met and np.all(left < _LOOSENED * noise))
+
+
+def _apart(
+    parts: Shots,
+    tuned: tuple[Parameter, ...],
+    solution: Solution,
+) -> Array | None:
+    """Return how far values by parts of a log are from those by all of it, shape (T,).
+
+    0 where that is within two standard deviations of theirs; None without parts.
+    """
+    found = np.zeros(len(tuned))
+    if not parts:
+        return None
+    for _, begun in parts:
+        steps = RolloutLeastSquares(begun.run, begun.target, (*tuned, *begun.starts))
+        begins = [one.initial for one in begun.starts]
+        start = np.concatenate([solution.values[: len(tuned)], begins])
+        steps, own = _loosened(steps, steps.solve(start))
+        cov, _ = covariance(own, begun.target, steps.parameters)
+        apart = np.abs(own.values - start)[: len(tuned)]
+        sd = np.sqrt(np.diag(cov))[: len(tuned)]
+        found = np.maximum(found, np.where(apart > 2.0 * sd, apart, 0.0))
+    return found
 
 
 def _agreement(

@@ -56,6 +56,27 @@ def run_of(signal: str) -> str:
     return found[1] if found else ""
 
 
+def runs_of(episode: Episode) -> dict[str, Episode]:
+    """Split what holds several runs: each run's signals under its name, without it in theirs.
+
+    Signals that are of none are of each. An episode of one run, or of none, is not split: "".
+    """
+    runs = dict.fromkeys(filter(None, map(run_of, episode.signals)))
+    if len(runs) < 2:
+        return {"": episode}
+    found: dict[str, Episode] = {}
+    for run in runs:
+        signals = {
+            name.replace(f".{run}", "", 1): one
+            for name, one in episode.signals.items()
+            if run_of(name) in ("", run)
+        }
+        signals = {name: replace(one, name=name) for name, one in signals.items()}
+        said = () if found else episode.warnings  # once
+        found[run] = replace(episode, signals=signals, warnings=said)
+    return found
+
+
 def quantity_of(signal: str) -> str:
     """Return which joint quantity a signal is; "" if it is none."""
     last = signal.rpartition(".")[2]
@@ -402,7 +423,7 @@ class Match:
         runs = list(dict.fromkeys(filter(None, map(run_of, self._episode.signals))))
         if runs[1:]:
             others = f"{listed(runs[1:], _FEW)}: other runs than {runs[0]}, which is used"
-            self.unused.append(f"{others}; save each as a log of its own to use them together")
+            self.unused.append(f"{others}; --together takes all of them")
         for name, signal in self._episode.signals.items():
             if run_of(name) in runs[1:]:
                 continue

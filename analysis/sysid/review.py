@@ -113,6 +113,14 @@ class SimulatorReviewData:
     interval95: Array | None  # of the result, shape (P, 2); None if no valid one exists
     held_out_s: float | None  # start of the first hold-out; None if there is none
     first_s: float  # first stamp [s since the log's first sample]
+    # Of a run that is held out, its columns and name; () and "" where a part of each log is.
+    others: tuple[ShownColumn, ...] = ()
+    run: str = ""
+
+    @property
+    def predicted(self) -> tuple[ShownColumn, ...]:
+        """Columns whose prediction is drawn."""
+        return self.others[:MAIN] or (self.main if self.held_out_s is not None else ())
 
     @property
     def main(self) -> tuple[ShownColumn, ...]:
@@ -126,7 +134,8 @@ def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
     target = found.connected.target
     assert tuning.trace is not None
     fit: SimulatorFit | None = tuning.trace.fit.detail if tuning.trace.fit else None
-    held = fit.held_out if fit and fit.held_out and fit.held_out.simulated is not None else None
+    unseen = fit.held_out if fit else None
+    held = unseen if unseen is not None and unseen.simulated is not None else None
     seen = np.column_stack([np.full(len(target.values), np.nan)] * len(tuning.trace.steps))
     iterates: list[Iterate] = []
     count = len(tuning.trace.steps)
@@ -175,7 +184,35 @@ def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
         None if interval is None else np.asarray(interval),
         min((one.held_out_s for one in columns if one.held_out_s is not None), default=None),
         found.offset_s + float(target.seconds.min()),
+        *_of_run(unseen),
     )
+
+
+def _of_run(held: HeldOut | None) -> tuple[tuple[ShownColumn, ...], str]:
+    """Collect the columns of a run that is held out, those that vary most first, and its name."""
+    if held is None or held.whole is None:
+        return (), ""
+    found: list[tuple[float, ShownColumn]] = []
+    ends = np.cumsum([len(one.values) for one in held.columns]).tolist()
+    for number, (column, end) in enumerate(zip(held.columns, ends, strict=True)):
+        every = draw.drawn_every(column.seconds)
+        given, predicted = held.whole[:, end - len(column.values) : end][:, ::every]
+        shown = ShownColumn(
+            short_name(f"{column.signal.partition(': ')[2].rpartition('.')[2]} {column.name}", 34),
+            column.unit,
+            column.noise,
+            column.seconds[::every],
+            column.values[::every],
+            np.zeros((len(given), 0)),
+            predicted,
+            given,
+            np.zeros(0),
+            (float(held.rms[number]), float(held.before[number])),
+            float(column.seconds[0]),
+        )
+        found.append((column.spread / max(column.noise, 1e-9 * column.spread, 1e-300), shown))
+    found.sort(key=lambda one: -one[0])
+    return tuple(shown for _, shown in found), held.columns[0].signal.partition(":")[0]
 
 
 def _shown(
@@ -241,10 +278,8 @@ _ONE_COLUMN = 3  # charts that lie one over the other; more take two columns
 
 def log_held_out(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Container:
     """Log the hold-out predictions of the main columns, and their errors in words."""
-    from_s = data.held_out_s
-    assert from_s is not None
     views: list[rrb.View] = []
-    for number, column in enumerate(data.main):
+    for number, column in enumerate(data.predicted):
         assert column.fitted is not None
         assert column.given is not None
         assert column.held_out_s is not None
@@ -259,27 +294,31 @@ def log_held_out(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.C
                 draw.log_lines(stream, f"{entity}/{name}", times_s, curve, [(name, color, width)])
         span = column.shown(column.fitted)
         log_observed(stream, entity, column.seconds, column.observed)
-        log_upright(stream, f"{entity}/begins", column.held_out_s, span)
-        title = column.title(f"predicted from {column.held_out_s:.2f} s")
+        title = column.title("predicted")
+        if not data.run:
+            log_upright(stream, f"{entity}/begins", column.held_out_s, span)
+            title = column.title(f"predicted from {column.held_out_s:.2f} s")
         views.append(draw.plot_view(entity, title, draw.ticked(*span)))
     entries: list[tuple[str, list[draw.Color]]] = [
         ("observed", [draw.OBSERVED]),
         ("simulator as given", [_GIVEN]),
-        ("fit to the first part", [draw.FITTED]),
+        *([] if data.run else [("fit to the first part", [draw.FITTED])]),
         ("what it predicts", [_PREDICTED]),
     ]
     key = draw.log_key(stream, entries, "held_out_key")
     # Describe the hold-out errors, column by column.
     rows = [
         (column.title(), *(f"{number:.3g}" for number in (*column.held_out_rms, column.noise)))
-        for column in data.columns
+        for column in data.others or data.columns
         if column.held_out_rms is not None
     ]
     head = ("rms", "predicted", "as given", "noise")
     words = [
-        f"# from {from_s:.2f} s on",
-        "The simulator was fitted a second time, to what is before; what comes after, it has not "
-        "seen. Only the start of what comes after is fitted to it.",
+        f"# {one_line(data.run)}" if data.run else f"# from {data.held_out_s:.2f} s on",
+        "Nothing was fitted to this run but its start."
+        if data.run
+        else "The simulator was fitted a second time, to what is before; what comes after, it has "
+        "not seen. Only the start of what comes after is fitted to it.",
         markdown_table(head, rows),
     ]
     draw.log_words(stream, "held_out_words", "\n\n".join(words))
@@ -677,7 +716,7 @@ def log_simulator(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     name = f"residuals (timeline {draw.LOG_TIME})"
     tabs.append(rrb.Vertical(left_view, left, row_shares=draw.KEY_SHARES, name=name))
     tabs.append(log_scrub(stream, data))
-    if data.held_out_s is not None:
+    if data.predicted:
         tabs.append(log_held_out(stream, data))
     return rrb.Tabs(*tabs, active_tab=0)
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.analysis.record import TunedModel
-from tunenet_logs.analysis.sysid.fit import FITTED, ComparedColumns, compared, noise_of
-from tunenet_logs.analysis.sysid.horizons import Begun, Unseen
+from tunenet_logs.analysis.sysid.fit import FITTED, Begun, ComparedColumns, compared, noise_of
+from tunenet_logs.analysis.sysid.horizons import Unseen
 from tunenet_logs.analysis.sysid.matching import rotations
 from tunenet_logs.episode import Array, Episode, LeftOut
 from tunenet_logs.errors import LogError, UsageError
@@ -29,7 +29,7 @@ from tunenet_logs.recorders.simulators.model.rollout import (
     free_joint,
     seen_in_world,
 )
-from tunenet_logs.recorders.simulators.model.servo import ACTUATORS
+from tunenet_logs.recorders.simulators.model.servo import ACTUATORS, moved_joints
 from tunenet_logs.recorders.simulators.mujoco import mujoco
 from tunenet_logs.terminal import listed, one_line, short_name
 
@@ -148,12 +148,14 @@ class Connected:
     used: tuple[str, ...] = ()  # each signal of the log that is used, and its use, in words
     unused: tuple[str, ...] = ()  # each that is not, and why
     doubts: tuple[str, ...] = ()  # which of the used ones may be meant otherwise
-    unseen: tuple[Unseen, ...] = ()  # how what is held out is predicted; none if it cannot begin
+    unseen: tuple[Unseen, ...] = ()  # how it begins anew in what is fitted; none if it cannot
+    held_out: Unseen | None = None  # likewise in a log that is held out whole
     # Which of several logs each value is of, shape (M,), and which are held out; None for one log.
     logs: tuple[tuple[str, ...], NDArray[np.intp]] | None = None
     later: NDArray[np.bool_] | None = None  # which values are held out, shape (M,), likewise
     # What effects that are left out would change; see `fit_simulator`.
     omitted: Callable[[Array], Array] | None = None
+    joints: Mapping[str, str] = field(default_factory=dict)  # that servos' parameters move, by name
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,6 +338,7 @@ class ModelSource:
                     FITTED * target.end_s,
                 ),
             ),
+            joints=moved_joints(self.model),
         )
 
 
@@ -358,7 +361,13 @@ def _begun(
         return None
     state = initial_state(model, shown, part.start_ns)
     again = replace(simulator, sensed=tuple(sensed), initial=state, end_ns=end_ns)
-    return Begun(part, state.unsure, lambda rows: seen_at(part, again.rollouts(rows)))
+    finer = again.finer()
+    return Begun(
+        part,
+        state.unsure,
+        lambda rows: seen_at(part, again.rollouts(rows)),
+        lambda rows: seen_at(part, finer.rollouts(rows)),
+    )
 
 
 def _cut(sensed: SensedSignal, from_ns: int, until_ns: int) -> SensedSignal | None:

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tunenet_logs.analysis.sysid.fit import Column, ComparedColumns, later_part
-from tunenet_logs.analysis.sysid.horizons import Begun, Unseen
+from tunenet_logs.analysis.sysid.fit import Begun, Column, ComparedColumns, later_part
+from tunenet_logs.analysis.sysid.horizons import Unseen
 from tunenet_logs.analysis.sysid.source import Connected, Rollouts, seen_at, tuned_first
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.recorders.simulators.base import Parameter
@@ -162,8 +162,10 @@ def together(names: tuple[str, ...], parts: Sequence[Connected]) -> Connected:
         said("unused"),
         said("doubts"),
         tuple(unseen) if len(unseen) == len(parts) else (),
+        None,
         (names, np.repeat(np.arange(len(parts), dtype=np.intp), counts)),
         np.concatenate([later_part(part.target) for part in parts]),
+        joints=parts[0].joints,
     )
 
 

@@ -108,6 +108,8 @@ def open_log(path: Path, options: ReadOptions = AS_IT_SAYS) -> Container | Episo
         if path.is_dir():
             if sage.is_sage_folder(path):
                 return sage.read_sage_folder(path, options)
+            if parquet.is_data_set(path):
+                return parquet.read_data_set(path, options)
             is_pictures = pictures.is_picture_folder(path)
             return pictures.read_picture_folder(path, options) if is_pictures else read_folder
         if not path.exists():
@@ -132,10 +134,18 @@ def is_folder(path: Path) -> bool:
         return False
 
 
+def files_of(path: Path) -> list[Path]:
+    """List the files of a log, in order; raise OSError."""
+    if not path.is_dir():
+        return [path]
+    if parquet.is_data_set(path):
+        return [path / "meta" / "info.json", *parquet.data_set_files(path)]
+    return [file for file in sorted(path.iterdir()) if file.is_file()]
+
+
 def file_bytes(path: Path) -> int:
     """Return the size of a log [bytes], that of all its files for a folder."""
-    files = path.iterdir() if path.is_dir() else (path,)
-    return sum(file.stat().st_size for file in files if file.is_file())
+    return sum(file.stat().st_size for file in files_of(path) if file.is_file())
 
 
 def is_known(path: Path) -> bool:
@@ -165,9 +175,9 @@ def may_be_log(path: Path) -> bool:
 
 
 def is_log_folder(path: Path) -> bool:
-    """Return whether a folder is one log: a bag, an image sequence, or commands beside states."""
+    """Return whether a folder is one log: a bag, pictures, a data set, commands beside states."""
     try:
-        is_tables = sage.is_sage_folder(path)
+        is_tables = sage.is_sage_folder(path) or parquet.is_data_set(path)
         return is_tables or is_bag_folder(path) or pictures.is_picture_folder(path)
     except OSError:
         return False
@@ -348,8 +358,6 @@ def _files(folder: Path) -> list[Path]:
     files = [one for one in found if _ending(one)]
     files = [one for one in files if one.suffix != _PACKED or one.stem not in names]  # `zstd -d`
     if not files:
-        if parquet.is_data_set(folder):
-            raise LogError(f"{folder}: is a LeRobot data set; name {parquet.a_file_of(folder)}")
         raise LogError(
             f"{folder}: is a directory without the files of a ROS 2 bag (.db3, .mcap) or numbered "
             "pictures; name a log file"

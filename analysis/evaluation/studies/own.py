@@ -262,7 +262,10 @@ def truths(own: Own, count: int, seed: int, progress: Progress) -> Truths:
     names = [one.name for one in tuning.parameters]
     drawn = posterior_sample(names, trace.estimate, fit.posterior, count, seed)
     detail: SimulatorFit = fit.detail
-    starts, noise = detail.solution.values[tuned:], _noise(connected, detail.simulated)
+    starts, noise = (
+        detail.solution.values[tuned : len(parameters)],
+        _noise(connected, detail.simulated),
+    )
     return Truths(drawn, starts, noise, f"that the log leaves possible (it is {tuning.verdict})")
 
 

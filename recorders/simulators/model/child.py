@@ -36,6 +36,8 @@ Arrays = dict[str, NDArray[Any]]
 
 _PARENT = os.getppid()
 _loaded: list[Any] = []  # the one model that `run` rolls out
+_spares: list[tuple[Any, list[tuple[Any, Any]]]] = []  # its copies, and what may differ in each
+_MAX_CHANGED = 100_000  # numbers of an array that rollouts change; meshes have more
 
 
 class _TooSlowError(Exception):
@@ -84,6 +86,7 @@ def load(arrays: Arrays) -> Iterator[tuple[Any, Arrays]]:
     mujoco: Any = import_module("mujoco")
     mujoco.set_mju_user_warning(lambda _: None)
     data = {"model.mjb": arrays["model"].tobytes()}
+    _spares.clear()
     _loaded[:] = [mujoco.MjModel.from_binary_path("model.mjb", data)]
     yield {}, {}
 
@@ -113,7 +116,9 @@ def run(
 
     def one(place: int) -> tuple[int, str]:
         shown = qpos[place] if wants_qpos else None
-        kept, why = _rolled(model, rows[place], controls, sensed[place], shown, **settings)
+        spare = _copied(model)
+        kept, why = _rolled(spare[0], rows[place], controls, sensed[place], shown, **settings)
+        _spares.append(spare)
         sensed[place, kept:] = np.nan
         if wants_qpos:
             qpos[place, kept + 1 :] = np.nan
@@ -129,11 +134,35 @@ def run(
     yield {"kept": kept, "why": why}, {"sensed": sensed} | ({"qpos": qpos} if wants_qpos else {})
 
 
-def _begun(model: Any, row: Row, step_s: float, is_late: bool) -> tuple[Any, Any, Any]:
-    """Prepare a row's model, its data, and the initial state."""
+def _copied(model: Any) -> tuple[Any, list[tuple[Any, Any]]]:
+    """Return a copy of the loaded model, one used before where there is one: of meshes it is slow.
+
+    With the arrays in which it may differ, each beside the loaded one's.
+    """
+    if not _spares:
+        own = copy(model)
+        holders = (own, model), (own.opt, model.opt), (own.stat, model.stat)
+        names = [(*both, name) for both in holders for name in dir(both[0]) if name[0] != "_"]
+        pairs = [(getattr(mine, name), getattr(given, name)) for mine, given, name in names]
+        return own, [
+            both
+            for both in pairs
+            if isinstance(both[0], np.ndarray) and both[0].size <= _MAX_CHANGED
+        ]
+    own, pairs = _spares.pop()
+    for mine, given in pairs:
+        mine[...] = given
+    for ours, theirs in ((own.opt, model.opt), (own.stat, model.stat)):
+        for name in dir(ours):
+            if isinstance(value := getattr(theirs, name), float):
+                setattr(ours, name, value)
+    return own, pairs
+
+
+def _begun(model: Any, row: Row, step_s: float, is_late: bool) -> tuple[Any, Any]:
+    """Prepare a row's own model, its data, and the initial state."""
     mujoco: Any = import_module("mujoco")
     values, qpos, qvel, _ = row
-    model = copy(model)
     model.opt.timestep = step_s
     for name, array in values:
         put_array(model, name, array)
@@ -148,11 +177,11 @@ def _begun(model: Any, row: Row, step_s: float, is_late: bool) -> tuple[Any, Any
     state = np.zeros(mujoco.mj_stateSize(model, physics))
     mujoco.mj_getState(model, data, state, physics)
     mujoco.mj_resetData(model, data)
-    return model, data, state
+    return data, state
 
 
 def _rolled(
-    whole: Any,
+    model: Any,
     row: Row,
     controls: Sequence[Any],
     sensed: Any,
@@ -173,7 +202,7 @@ def _rolled(
     mujoco: Any = import_module("mujoco")
     began_s = time.thread_time()
     try:
-        model, data, state = _begun(whole, row, step_s, is_late)
+        data, state = _begun(model, row, step_s, is_late)
     except mujoco.FatalError as error:
         return 0, str(error)
     nq, control = model.nq, controls[row[-1]]
@@ -187,7 +216,8 @@ def _rolled(
     width = len(state) + model.nu + model.nv + model.nsensordata
     most = max(4_000_000 // (8 * width), 1)  # bytes of a piece
     roller, warmstart = rollout.Rollout(nthread=0), np.zeros(model.nv)
-    # In pieces from which its end can be foreseen: of 16 steps first, then of .1 s.
+    # In pieces from which its end can be foreseen: of 16 steps first, then of .02 s; where bodies
+    # touch, a step may take fifty times as long.
     done, count, why = 0, 16, ""
     while done < steps and not why:
         count = min(count, steps - done, most)
@@ -210,7 +240,7 @@ def _rolled(
             mujoco.mj_resetData(model, data)
             count = most = 1
             continue
-        count *= 1 + (time.monotonic() - piece_s < 0.1)
+        count *= 1 + (time.monotonic() - piece_s < 0.02)
         # The steps before time stops advancing: after a warning, all times are one.
         expected_s = step_s * np.arange(done + 1, done + len(block[0]) + 1)
         is_good = np.isclose(reached[0, :, 0], expected_s, rtol=0, atol=step_s / 2)

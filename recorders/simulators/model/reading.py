@@ -129,6 +129,7 @@ class ModelProcess:
             folder=self._empty.name,
         )
         self._loaded: Any = None
+        self.models: dict[Any, Any] = {}  # compiled ones, by what they sense and what is tuned
 
     def close(self) -> None:
         """End it; the next request starts another."""

@@ -375,7 +375,13 @@ class ModelSimulator:
 
     @cached_property
     def _model(self) -> Any:
-        """Compiled model, with sensors of the compared signals alone."""
+        """Compiled model, with sensors of the compared signals alone; one for logs alike."""
+        key = tuple(self._distinct), tuple(one.parameter.name for one in self.tuned)
+        if key not in self.process.models:
+            self.process.models[key] = self._compiled()
+        return self.process.models[key]
+
+    def _compiled(self) -> Any:
         spec = self.spec.copy()
         put_sensors(spec, self._distinct)
         if any(one.owner.startswith("servo/") for one in self.tuned):

@@ -122,8 +122,8 @@ TERMS: tuple[ServoTerm, ...] = (
 SLOTS = 1 + max(one.slot for one in TERMS)
 LOAD, STRIBECK_LOAD, STRIBECK, SPEED, BACK_EMF, DEAD_BAND = range(SLOTS)
 # Of a servo's damping what stays without power, where a log does not tell: viscous friction over
-# that and kt² / R; .01 to .1 in the same fits.
-UNPOWERED = 0.07
+# that and kt² / R; .01 to .1 in the same fits, but .15 to .3 by free swings of a real XL-330.
+UNPOWERED = 0.2
 _EXTRA = 8.0  # standard deviations over the usual mean, up to which a value is looked for
 
 
@@ -159,6 +159,20 @@ def all_terms(model: Any) -> dict[str, tuple[ServoTerm, int]]:
             for term in TERMS:
                 found.setdefault(term.address.format(**names), (term, actuator))
     return found
+
+
+def moved_joints(model: Any) -> dict[str, str]:
+    """Return the joint that each servo's term moves most, and its start; {} if a joint has none."""
+    joints = {actuator: model.joint(joint).name for actuator, joint in servos(model)}
+    if len(set(joints.values())) < model.nv:  # what swings freely is moved by all others
+        return {}
+    terms = {
+        address: joints[actuator]
+        for address, (term, actuator) in all_terms(model).items()
+        if "{" in term.address
+    }
+    parts = ("position", "velocity")
+    return terms | {f"initial/{one}.{part}": one for one in joints.values() for part in parts}
 
 
 NO_LIMIT = 1e6  # torque limit of a servo that has none [N·m]
@@ -260,11 +274,12 @@ class ServoSteps:
             gear = float(model.actuator_gear[actuator, 0])
             load, stribeck_load, stribeck, slow, brake, dead_band = rows[actuator].tolist()
             friction, rest = float(model.dof_frictionloss[dof]), float(model.dof_damping[dof])
+            motor = brake  # of the gears' load; where a log does not tell it, all of the damping
             if not brake and table is not None:
-                brake, rest = (1.0 - UNPOWERED) * rest, UNPOWERED * rest
+                motor, brake, rest = rest, (1.0 - UNPOWERED) * rest, UNPOWERED * rest
             rubs = load, stribeck_load, stribeck, max(slow, 1e-3)
             self._servos.append(
-                (actuator, dof, place, gear, friction, *rubs, rest, brake, dead_band)
+                (actuator, dof, place, gear, friction, *rubs, rest, brake, motor, dead_band)
             )
         self._gains = model.actuator_gainprm.copy(), model.actuator_biasprm.copy()
         self._powered = np.ones(model.nu, np.bool_)
@@ -282,13 +297,13 @@ class ServoSteps:
         """Step once, with the controls and efforts that are in the data."""
         for servo in self._servos:
             actuator, dof, place, gear, friction, load, stribeck_load, stribeck, slow, *rest = servo
-            damping, brake, dead_band = rest
+            damping, brake, motor, dead_band = rest
             if brake:
-                brake = brake if self._powered[actuator] else 0.0
+                brake, motor = (brake, motor) if self._powered[actuator] else (0.0, 0.0)
                 self._dampings[dof] = damping + brake
             if load or stribeck_load or stribeck:
                 speed = float(self._qvel[dof])
-                carried = abs(float(self._made[dof]) - brake * speed + float(self._bias[dof]))
+                carried = abs(float(self._made[dof]) - motor * speed + float(self._bias[dof]))
                 at_rest = math.exp(-min(abs(speed) / slow, 700.0))
                 rubs = load + stribeck_load * at_rest
                 self._frictions[dof] = friction + stribeck * at_rest + rubs * carried

@@ -14,12 +14,14 @@ from ruamel.yaml import YAML
 import tunenet_logs as tn
 from tests.analysis.sysid.pendulums import model_source, pendulum_episode
 from tests.conftest import ROOT, Command
+from tunenet_logs.analysis.evaluation.worlds.servos import NAME, servo_log
 from tunenet_logs.analysis.export.model import joint_sample, tuned_simulator
 from tunenet_logs.analysis.presentation import page_todo
 from tunenet_logs.analysis.record import Estimate, Posterior, read_record, to_json
 from tunenet_logs.analysis.sysid.source import ModelSource
 from tunenet_logs.episode import Array
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 WANTED = ("joint/hinge.damping=0:.2",)
 
@@ -190,3 +192,29 @@ def test_without_intervals_there_is_no_sample(
     result = command("tunenet-export", tuning, "--to", "mjcf")
     assert "(no reliable interval)" in tuning.with_name("pendulum.tuned.xml").read_text()
     assert "the tuning is suspect: the model is another" in result.stderr
+
+
+def test_a_servos_terms_are_written_as_the_nearest_that_a_model_has(tmp_path: Path):
+    """What MuJoCo lacks is named, and friction by load is in the dry friction in its place."""
+    log = next(one for one in map(servo_log, range(20)) if one.truth[f"servo/{NAME}.load_friction"])
+    model = tmp_path / "servo.xml"
+    model.write_text(log.model)
+    terms = [f"actuator/{NAME}.kp", f"actuator/{NAME}.forcerange", "delay/commands"]
+    terms += [f"joint/{NAME}.{field}" for field in ("damping", "frictionloss")]
+    tuning = tn.tune(log.episode, model=model, parameters=[*terms, f"servo/{NAME}.load_friction"])
+    assert tuning.estimate is not None
+    names = [one.name for one in tuning.parameters]
+    values = dict(zip(names, map(float, tuning.estimate), strict=True))
+    [path] = tn.export(tuning, "mjcf", tmp_path / "any.xml", model=model)
+    written = mujoco().MjModel.from_xml_path(str(path))
+    assert written.actuator_gainprm[0, 0] == values[f"actuator/{NAME}.kp"]
+    assert written.actuator_biasprm[0, 1] == -values[f"actuator/{NAME}.kp"]
+    limit = values[f"actuator/{NAME}.forcerange"]
+    np.testing.assert_allclose(written.actuator_forcerange[0], [-limit, limit])
+    assert written.dof_damping[0] == values[f"joint/{NAME}.damping"]
+    rubs = values[f"joint/{NAME}.frictionloss"]
+    rubs += values[f"servo/{NAME}.load_friction"] * limit / 2
+    assert written.dof_frictionloss[0] == pytest.approx(rubs)
+    text = path.read_text()
+    for name in (f"servo/{NAME}.load_friction", "delay/commands"):
+        assert f"not written: {name} = " in text

@@ -36,7 +36,7 @@ def run(seed: int, noise: float = 0.005, late_s: int = 0, **truth: float) -> Epi
 
 
 def tuned(*runs: Episode, hold_out: Episode | None = None) -> Tuning:
-    return tn.tune(runs[0], simulator=Spring(), together=runs[1:], hold_out=hold_out)
+    return tn.tune(runs[0], simulator=Spring(), together=runs[1:] or None, hold_out=hold_out)
 
 
 def off(tuning: Tuning) -> Mapping[str, tuple[float, float]]:
@@ -178,10 +178,11 @@ def test_the_command_writes_one_result(command: Command, folder: Path):
     ("words", "said"),
     [
         (["a.mcap", "b.mcap", "--together"], "name it with --model"),
-        (["a.mcap", *OF_MODEL, "--together"], "two logs or more"),
+        (["a.mcap", *OF_MODEL, "--together"], "two logs or runs"),
         (["a.mcap", *OF_MODEL, "--hold-out", "gone.mcap"], "gone.mcap"),
         (["a.mcap", "b.mcap", *OF_MODEL, "--together", "--hold-out", "b.mcap"], "named twice"),
         (["a.mcap", *OF_MODEL, "--hold-out", "a.mcap"], "named twice"),
+        (["a.mcap", *OF_MODEL, "--hold-out", "episode:7"], "holds one run alone"),
         (["a.mcap", "--hold-out", "b.mcap"], "name it with --model"),
         (["a.mcap", "b.mcap", *OF_MODEL, "--together", "-o", "out", "--resume"], "--resume"),
         (["a.mcap", "pendulum.xml", *OF_MODEL, "--together"], "pendulum.xml"),

@@ -35,6 +35,7 @@ from tests.reading import one, read, refusal, skipped, tuned
 from tunenet_logs.analysis.payload.arm_log import read_arm_log
 from tunenet_logs.errors import LogError, NotFoundError
 from tunenet_logs.formats.options import ReadOptions
+from tunenet_logs.formats.registry import file_bytes, is_log_folder
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.simulators.arm.description import jaco
 
@@ -353,7 +354,30 @@ def test_episodes_of_a_lerobot_data_set(tmp_path: Path, version: int):
     signal = said.signals["observation.state.episode1.position"]
     assert signal.unit == "rad"
     np.testing.assert_allclose(signal.values[0], np.radians([30, 40]))
-    with pytest.raises(LogError, match=re.escape(f"is a LeRobot data set; name {log}")):
+    whole = read_episode(tmp_path)
+    assert whole.signals.keys() == episode.signals.keys()
+    assert is_log_folder(tmp_path)
+    assert file_bytes(tmp_path) > log.stat().st_size
+
+
+@needs_pyarrow
+def test_a_data_set_of_several_files_is_one_log(tmp_path: Path):
+    """Of version 2 each episode has its own file, of version 3 many share some."""
+    log = lerobot(tmp_path, version=2)
+    whole = read_episode(tmp_path)
+    rows = pd.read_parquet(log)
+    for number in (0, 1):
+        file = log.with_name(f"episode_00000{number}.parquet")
+        rows[rows.episode_index == number].to_parquet(file)
+    again = read_episode(tmp_path)
+    for name, signal in whole.signals.items():
+        np.testing.assert_array_equal(again.signals[name].values, signal.values)
+        np.testing.assert_array_equal(again.signals[name].stamps_ns, signal.stamps_ns)
+    file.write_bytes(file.read_bytes()[:300])
+    with pytest.raises(LogError, match=re.escape(f"{file}: Parquet file that is not read")):
+        read_episode(tmp_path)
+    rows.drop(columns="action").to_parquet(file)
+    with pytest.raises(LogError, match=r"other columns from episode_000001\.parquet on"):
         read_episode(tmp_path)
 
 

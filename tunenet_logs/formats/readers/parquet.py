@@ -68,13 +68,32 @@ def _opened(path: Path) -> Iterator[Sandbox]:
         with Sandbox("numpy", "pyarrow.parquet") as sandbox:
             yield sandbox
     except SandboxError as error:
-        remedy = "write it again" + (", in smaller files" if error.code else "")
-        raise LogError(f"{path}: {_kind(path)} file that is not read: {error}", remedy) from error
+        raise _unread(path, error) from error
+
+
+def _unread(path: Path, error: SandboxError) -> LogError:
+    remedy = "write it again" + (", in smaller files" if error.code else "")
+    return LogError(f"{path}: {_kind(path)} file that is not read: {error}", remedy)
 
 
 def _kind(path: Path) -> str:
     with open_regular(path) as file:
         return "Parquet" if file.read(4) == b"PAR1" else "Arrow"
+
+
+def _columns(sandbox: Sandbox, path: Path) -> list[ParquetColumn]:
+    found, _ = sandbox.ask(sandboxed.table_columns, str(path.absolute()))
+    return [ParquetColumn(name, one["kind"], one["width"]) for name, one in found.items()]
+
+
+def _arrays(
+    sandbox: Sandbox, path: Path, wanted: list[str], columns: Sequence[ParquetColumn]
+) -> dict[str, NDArray[Any]]:
+    width = sum(one.width or 1 for one in columns if one.name in wanted)
+    arrays: dict[str, NDArray[Any]] = {}
+    for _, one in sandbox.answers(sandboxed.table_arrays, str(path.absolute()), wanted, width):
+        arrays |= one
+    return arrays
 
 
 # ---- LeRobot data sets (versions 2, 3): joint states and commands, usually without torques.
@@ -111,17 +130,53 @@ def _features(columns: Sequence[ParquetColumn]) -> list[ParquetColumn]:
     ]
 
 
+def _wanted(columns: Sequence[ParquetColumn]) -> list[str]:
+    return [*_COLUMNS, *(one.name for one in _features(columns))]
+
+
 def is_data_set(folder: Path) -> bool:
     """Return whether a folder is a data set with its own description."""
     return (folder / "meta" / "info.json").is_file() and (folder / "data").is_dir()
 
 
-def a_file_of(folder: Path) -> str:
-    """Name one of a data set's episode files, for messages."""
+def data_set_files(folder: Path) -> list[Path]:
+    """List the files of a data set's episodes, in order."""
     chunks = islice((folder / "data").glob("chunk-*"), _MAX_LISTED)
     files = (file for chunk in chunks for file in islice(chunk.glob("*.parquet"), _MAX_LISTED))
-    first = min(files, default=None)
-    return "one of its files data/chunk-*/*.parquet" if first is None else str(first)
+    return sorted(files)
+
+
+def read_data_set(folder: Path, options: ReadOptions) -> Episode:
+    """Read all episodes of a LeRobot data set as runs of one log."""
+    files = data_set_files(folder)
+    if not files:
+        raise LogError(f"{folder}: is a LeRobot data set without data/chunk-*/*.parquet")
+    columns: list[ParquetColumn] = []
+    parts: list[dict[str, NDArray[Any]]] = []
+    with _opened(files[0]) as sandbox:
+        for file in files:
+            try:
+                columns = _columns(sandbox, file)
+                wanted = _wanted(columns) if is_lerobot(columns) else []
+                parts.append(_arrays(sandbox, file, wanted, columns))
+            except SandboxError as error:
+                raise _unread(file, error) from error
+            is_one = is_lerobot(columns) and parts[-1].keys() == parts[0].keys()
+            if (
+                not is_one
+                or sum(one.size for part in parts for one in part.values()) > sandboxed.MAX_VALUES
+            ):
+                why = (
+                    f"over {sandboxed.MAX_VALUES} values"
+                    if is_one
+                    else f"other columns from {file.name} on"
+                )
+                raise LogError(f"{folder}: has {why}", f"name one of its files, such as {files[0]}")
+    try:
+        arrays = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
+    except ValueError as error:
+        raise LogError(f"{folder}: its files have lists of different lengths") from error
+    return lerobot_episode(files[0], columns, arrays, options)
 
 
 def data_set_of(path: Path) -> DataSet:
@@ -252,19 +307,15 @@ def is_parquet(start: Start) -> bool:
 def read_parquet(path: Path, options: ReadOptions) -> Episode:
     """Read a table by its column names, or the episodes of a LeRobot data set."""
     with _opened(path) as sandbox:
-        found, _ = sandbox.ask(sandboxed.table_columns, str(path.absolute()))
-        columns = [ParquetColumn(name, one["kind"], one["width"]) for name, one in found.items()]
+        columns = _columns(sandbox, path)
         plan: ColumnPlan | None = None
         sources: list[tuple[str, int | None]] = []  # file column and list index of each column
         if is_lerobot(columns) and not options.columns:
-            wanted = [*_COLUMNS, *(one.name for one in _features(columns))]
+            wanted = _wanted(columns)
         else:
             plan, sources = _plan(path, columns, options)
             wanted = list(dict.fromkeys(sources[at][0] for at in plan.needed))
-        width = sum(found[name]["width"] or 1 for name in wanted)
-        arrays: dict[str, NDArray[Any]] = {}
-        for _, one in sandbox.answers(sandboxed.table_arrays, str(path.absolute()), wanted, width):
-            arrays |= one
+        arrays = _arrays(sandbox, path, wanted, columns)
     if plan is None:
         return lerobot_episode(path, columns, arrays, options)
     needed = {

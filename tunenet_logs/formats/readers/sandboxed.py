@@ -74,7 +74,7 @@ class _Arrays:
 # ---- Parquet and Arrow: columns, or rows of a table of texts and numbers.
 
 _MAX_ROWS = 2_000_000
-_MAX_VALUES = 12_000_000  # of the columns that are read: 96 MB
+MAX_VALUES = 12_000_000  # of the columns that are read: 96 MB
 _MAX_COLUMNS = 5000  # of a file, those within others counted
 _MAX_WIDTH = 200  # of a list
 _BATCH_ROWS = 16_384
@@ -109,9 +109,9 @@ def table_arrays(path: str, names: list[str], width: int) -> Yields:
         for batch in batches(_BATCH_ROWS, [name]):
             parts.append(_array(_inner(batch, name)))
             count += batch.num_rows
-            if count * width > _MAX_VALUES or count > _MAX_ROWS:
+            if count * width > MAX_VALUES or count > _MAX_ROWS:
                 raise Refusal(
-                    f"has over {_MAX_VALUES} values to read; name fewer columns, or split it"
+                    f"has over {MAX_VALUES} values to read; name fewer columns, or split it"
                 )
         yield {}, {name: np.concatenate(parts) if parts else np.zeros(0)}
 
