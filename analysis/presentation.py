@@ -719,7 +719,7 @@ def gaps_table(record: Record) -> TextTable:
     positions = [one for one in record.gaps if ".position" in one.signal]
     rows = [
         (
-            quantity(f"{one.motion} {one.signal}".strip(), one.unit)
+            quantity(f"{one.motion} {one.signal.rpartition('.')[2]}".strip(), one.unit)
             + (", held out" if one.is_held_out else ""),
             " to ".join(f"{value:.3g}" for value in one.rms),
             " to ".join(f"{1e3 * value:.0f}" for value in one.delay_s) if one.delay_s else "-",
@@ -727,7 +727,7 @@ def gaps_table(record: Record) -> TextTable:
         )
         for one in (positions or record.gaps)[:_MAX_ROWS]
     ]
-    return TextTable(("signal", "rms error", "delay [ms]", "left of motion"), rows, title="gap")
+    return TextTable(("signal", "rms error", "delay [ms]", "left"), rows, title="gap")
 
 
 def remarks(record: Record) -> Items:

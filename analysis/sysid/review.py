@@ -688,6 +688,8 @@ def log_simulator(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     entries: list[tuple[str, list[draw.Color]]] = [("observed", [draw.OBSERVED]), _iterations(data)]
     if data.held_out_s is not None:
         entries.append((f"{data.held_out_s:.2f} s: held out", [draw.MUTED]))
+    if any(one.commanded is not None for one in data.main):
+        entries.append(("thin: commanded", [draw.MUTED]))
     key = draw.log_key(stream, entries)
     overlay = rrb.Vertical(
         key,

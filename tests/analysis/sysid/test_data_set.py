@@ -83,7 +83,7 @@ def test_episodes_are_runs_of_one_machine(version: int, command: Command, tmp_pa
     for one in gaps.values():
         assert one["rms"][1] < 0.2 * one["rms"][0]
         assert one["left"] < 0.02
-    assert "episode2 observation.state.position servo [rad], held out" in result.stdout
+    assert "episode2 position servo [rad], held out" in result.stdout
     assert told["provenance"]["options"]["hold_out"] == {"run": "episode:2"}
     assert len(told["provenance"]["log_sha256"]) == 64
 
