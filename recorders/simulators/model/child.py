@@ -139,7 +139,9 @@ def _copied(model: Any) -> tuple[Any, list[tuple[Any, Any]]]:
 
     With the arrays in which it may differ, each beside the loaded one's.
     """
-    if not _spares:
+    try:
+        own, pairs = _spares.pop()
+    except IndexError:  # all are in use: rollouts go side by side
         own = copy(model)
         holders = (own, model), (own.opt, model.opt), (own.stat, model.stat)
         names = [(*both, name) for both in holders for name in dir(both[0]) if name[0] != "_"]
@@ -149,7 +151,6 @@ def _copied(model: Any) -> tuple[Any, list[tuple[Any, Any]]]:
             for both in pairs
             if isinstance(both[0], np.ndarray) and both[0].size <= _MAX_CHANGED
         ]
-    own, pairs = _spares.pop()
     for mine, given in pairs:
         mine[...] = given
     for ours, theirs in ((own.opt, model.opt), (own.stat, model.stat)):
