@@ -165,28 +165,52 @@ class _Selection:
         for column in range(len(target.columns)):
             mine = target.which == column
             first, second = before.solution.residuals[mine], after.solution.residuals[mine]
-            apart = max(correlation_length(first), correlation_length(second))
-            count = max(len(first) / apart, 3.0)
+            # By what is left with the terms: an offset's lack hangs together all along.
+            count = max(len(second) / correlation_length(second), 3.0)
             left = [np.hypot(np.sqrt(np.mean(one**2)), floor[column]) for one in (first, second)]
             total += 2 * count * float(np.log(left[0] / left[1]))
             least = min(least, count)
         return total - (len(after.free) - len(before.free)) * float(np.log(max(least, 3.0)))
 
-    def promised(self, now: _Fit, group: tuple[int, ...]) -> float:
-        """Return by how much a group may lower the cost, by one rollout with it (a score test)."""
-        values = now.values.copy()
-        values[list(group)] = [self.start(place) for place in group]
-        moved = self.seen(values[None])[0]
+    def promised(self, now: _Fit, groups: Sequence[tuple[int, ...]]) -> list[float]:
+        """Return by how much each group may lower the cost, by a rollout with each (a score test).
+
+        Alone, or beside all others, of which the lack of one may hide another. Samples that hang
+        together after it count once.
+        """
+        from scipy.optimize import lsq_linear
+
+        rows = np.repeat(now.values[None], len(groups), axis=0)
+        for row, group in zip(rows, groups, strict=True):
+            row[list(group)] = [self.start(place) for place in group]
         target, solution = self.connected.target, now.solution
-        change = moved - (target.values + solution.residuals)
         weights = solution.chosen / target.per_value(solution.noise)
-        change = np.where(np.isfinite(change), change, 0.0) * weights
+        changes = self.seen(rows) - (target.values + solution.residuals)
+        changes = (np.where(np.isfinite(changes), changes, 0.0) * weights).T
         slopes = solution.slopes * weights[:, None]
-        change = change - slopes @ np.linalg.lstsq(slopes, change, rcond=1e-8)[0]
-        size = float(change @ change)
-        along = float(change @ (solution.residuals * weights))
-        is_signed = any(self.parameters[place].bounds[0] < self.base[place] for place in group)
-        return 0.0 if along > 0 and not is_signed else along**2 / max(size, 1e-300)
+        changes -= slopes @ np.linalg.lstsq(slopes, changes, rcond=1e-8)[0]
+        before = solution.residuals * weights
+        low = np.zeros(len(groups))  # of each size; a term that may be negative is either
+        for number, group in enumerate(groups):
+            if any(self.parameters[place].bounds[0] < self.base[place] for place in group):
+                low[number] = -np.inf
+
+        def left(which: list[int]) -> Array:
+            if not which:
+                return before
+            sizes = lsq_linear(changes[:, which], -before, (low[which], np.inf)).x
+            return before + changes[:, which] @ sizes
+
+        def gained(without: list[int], added: list[int]) -> float:
+            after = left(added)
+            mine = (after[target.which == column] for column in range(len(target.columns)))
+            together = max(correlation_length(one) for one in mine)
+            return float(np.sum(left(without) ** 2) - np.sum(after**2)) / together
+
+        every = list(range(len(groups)))
+        return [
+            max(gained([], [one]), gained(every[:one] + every[one + 1 :], every)) for one in every
+        ]
 
 
 def _field(address: str) -> str:
@@ -219,13 +243,12 @@ def choose(connected: Connected, source: ModelSource) -> Choice:
     words, rest = list[str](), list(groups)
     while rest:
         new = {group: _new(selection, now, group) for group in rest}
-        promised = {group: selection.promised(now, places) for group, places in new.items()}
+        promised = dict(zip(rest, selection.promised(now, list(new.values())), strict=True))
         best: tuple[float, tuple[str, ...], _Fit] | None = None
         ready = [
             one
             for one in rest
-            if promised[one] > now.solution.together * len(one)
-            and (_NEEDS.get(one[0], ""),) not in rest
+            if promised[one] > len(one) and (_NEEDS.get(one[0], ""),) not in rest
         ]
         for group in sorted(ready, key=lambda one: -promised[one])[:_TRIED]:
             start = now.values.copy()

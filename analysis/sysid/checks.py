@@ -26,6 +26,7 @@ from tunenet_logs.analysis.sysid.fit import (
     HeldOut,
     SimulatorFit,
     noises_of,
+    ranges_of,
 )
 from tunenet_logs.analysis.sysid.source import SimulatorDetection
 from tunenet_logs.episode import Array, Episode
@@ -162,8 +163,8 @@ SYSID = table(
     ),
     CheckSpec(
         "the step is short enough",
-        at_most(60, "% of half its interval"),
-        seen="half the step moves {name} by {shift:.2g}, {value} % of its interval's half",
+        at_most(2, "% of its range"),
+        seen="half the step moves {name} by {shift:.2g}, {value} % of its range",
         wanted="wanted: under {limit} %",
         measures="how far half the model's step moves each value",
         advice="shorten the model's timestep",
@@ -329,7 +330,7 @@ def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
     told = SYSID["every parameter is identifiable"]
     checks.append(told.measured(len(hidden), detail=detail, advice=advice))
     if found.step_shift is not None:
-        ratios = found.step_shift[: found.tuned] / np.maximum(found.half95[: found.tuned], 1e-300)
+        ratios = found.step_shift[: found.tuned] / ranges_of(tuned)
         place = int(np.argmax(ratios))
         shift, name = found.step_shift[place], found.parameters[place].name
         step = SYSID["the step is short enough"]

@@ -836,6 +836,7 @@ _LOST = 0.2  # of how much a column varies: with more left, no start leads to a 
 _PARTS = 3  # of a log that is begun anew, by which its intervals are tried
 _FEW_SHOTS = 8  # pieces of a log; of more, other starts cost too much to be followed
 _LOOKS = 2  # at where a motion is predictable, from the start and from what that gave
+_STEP_ORDER = 2.0  # of most integrators: an endless one moves values twice as far as half the step
 _CONTRADICTS = 4.0  # of the cost, twice a log likelihood: two standard deviations
 
 
@@ -989,8 +990,6 @@ def fit_simulator(
     rough = [_moved_by(bend, solution, target, parameters) for bend in solution.bends]
     # Factor on the variance of white noise in them: 1 + 4 + 1
     wide = np.hypot(sd, np.sqrt(np.mean(np.square(rough), axis=0) / 6.0))
-    if shift is not None:
-        wide = np.hypot(wide, shift)
     if omitted is not None:
         for change in omitted(solution.values):
             by = _moved_by(change, solution, target, parameters)
@@ -1018,6 +1017,8 @@ def fit_simulator(
         if apart is not None:
             wide[:tuned] = np.maximum(wide[:tuned], apart / students)
     half95 = students * wide
+    if shift is not None:
+        half95 += _STEP_ORDER * shift
     low, high = np.array([one.bounds for one in parameters]).T
     ends = np.stack([solution.values - half95, solution.values + half95])
     ends = np.clip(ends, low, high)
@@ -1028,7 +1029,7 @@ def fit_simulator(
         solution,
         target.values + solution.residuals,
         first,
-        wide,
+        half95 / students,
         half95,
         shift,
         held_out,
@@ -1094,8 +1095,10 @@ def _gap(column: Column, motion: str, *both: Array) -> Gap:
         rms.append(float(np.sqrt(np.mean((own - seen) ** 2))))
         # What changes alone: an offset is no delay.
         inside = (at_s > at_s[0] + _LAG_S) & (at_s < at_s[-1] - _LAG_S)
-        moved = [np.std(np.interp(at_s - lag, at_s, own)[inside] - seen[inside]) for lag in lags]
-        at = int(np.argmin(moved)) if inside.sum() > 2 and np.std(own) > 0 else -1
+        at = -1
+        if inside.sum() > 2 and np.std(own) > 0:
+            shifted = (np.interp(at_s - lag, at_s, own)[inside] for lag in lags)
+            at = int(np.argmin([np.std(one - seen[inside]) for one in shifted]))
         delays.append(float(lags[at]) if 0 < at < _LAGS - 1 else np.nan)
     delay_s = (delays[0], delays[1])
     is_told = column.spread > 3 * column.noise and bool(np.isfinite(delay_s).all())

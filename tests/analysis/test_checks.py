@@ -440,7 +440,7 @@ SYSID: Faults = {
     "the logs agree": lambda: once(sysid.agreement_check(matched(), APART)),
     "inside its range": on_the_end,
     "every parameter is identifiable": lambda: of_simulator(half95=1e3 + matched().half95),
-    "the step is short enough": lambda: of_simulator(step_shift=matched().half95),
+    "the step is short enough": lambda: of_simulator(step_shift=1e2 * matched().half95),
 }
 TABLES = {
     "drop": (drop.DROP, DROP),

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from copy import copy
+from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -34,9 +35,12 @@ _MAX_MODEL_MB = 30  # compiled
 Row = tuple[Sequence[tuple[str, Any]], NDArray[Any], NDArray[Any], int]
 Arrays = dict[str, NDArray[Any]]
 
+# A copy of a model, its data, and the arrays in which it may differ, each beside the model's own.
+_Spare = tuple[Any, Any, list[tuple[Any, Any]]]
+
 _PARENT = os.getppid()
 _loaded: list[Any] = []  # the one model that `run` rolls out
-_spares: list[tuple[Any, list[tuple[Any, Any]]]] = []  # its copies, and what may differ in each
+_spares: list[_Spare] = []  # its copies
 _MAX_CHANGED = 100_000  # numbers of an array that rollouts change; meshes have more
 
 
@@ -109,7 +113,9 @@ def run(
     limit(cpu_s=PIECE_S)
     sensed = np.empty((len(rows), steps, model.nsensordata))
     qpos = np.empty((len(rows) if wants_qpos else 0, steps + 1, model.nq))
-    each_bytes = mujoco.mj_sizeModel(model) + model.narena + mujoco.MjData(model).nbuffer
+    if not _spares:
+        _spares.append(_copied(model))
+    each_bytes = mujoco.mj_sizeModel(model) + model.narena + _spares[0][1].nbuffer
     count = int(np.clip(MEMORY_BYTES // each_bytes, 1, 16))
     count = min(count, os.cpu_count() or 1, len(rows))
     limit(2 * MEMORY_BYTES)
@@ -117,7 +123,7 @@ def run(
     def one(place: int) -> tuple[int, str]:
         shown = qpos[place] if wants_qpos else None
         spare = _copied(model)
-        kept, why = _rolled(spare[0], rows[place], controls, sensed[place], shown, **settings)
+        kept, why = _rolled(spare[:2], rows[place], controls, sensed[place], shown, **settings)
         _spares.append(spare)
         sensed[place, kept:] = np.nan
         if wants_qpos:
@@ -134,40 +140,47 @@ def run(
     yield {"kept": kept, "why": why}, {"sensed": sensed} | ({"qpos": qpos} if wants_qpos else {})
 
 
-def _copied(model: Any) -> tuple[Any, list[tuple[Any, Any]]]:
-    """Return a copy of the loaded model, one used before where there is one: of meshes it is slow.
+def _copied(model: Any) -> _Spare:
+    """Return a copy of the loaded model, one used before where there is one.
 
-    With the arrays in which it may differ, each beside the loaded one's.
+    To copy meshes, or to allocate data, takes longer than many a rollout.
     """
     try:
-        own, pairs = _spares.pop()
+        own, data, pairs = _spares.pop()
     except IndexError:  # all are in use: rollouts go side by side
         own = copy(model)
         holders = (own, model), (own.opt, model.opt), (own.stat, model.stat)
         names = [(*both, name) for both in holders for name in dir(both[0]) if name[0] != "_"]
         pairs = [(getattr(mine, name), getattr(given, name)) for mine, given, name in names]
-        return own, [
+        pairs = [
             both
             for both in pairs
             if isinstance(both[0], np.ndarray) and both[0].size <= _MAX_CHANGED
         ]
+        return own, import_module("mujoco").MjData(own), pairs
     for mine, given in pairs:
         mine[...] = given
     for ours, theirs in ((own.opt, model.opt), (own.stat, model.stat)):
-        for name in dir(ours):
-            if isinstance(value := getattr(theirs, name), float):
-                setattr(ours, name, value)
-    return own, pairs
+        for name in _numbers(type(ours)):
+            setattr(ours, name, getattr(theirs, name))
+    return own, data, pairs
 
 
-def _begun(model: Any, row: Row, step_s: float, is_late: bool) -> tuple[Any, Any]:
-    """Prepare a row's own model, its data, and the initial state."""
+@cache
+def _numbers(kind: type) -> tuple[str, ...]:
+    """Return the names of what is a number in options and statistics."""
+    ours = next(one for one in (_loaded[0].opt, _loaded[0].stat) if isinstance(one, kind))
+    return tuple(name for name in dir(ours) if isinstance(getattr(ours, name), float))
+
+
+def _begun(model: Any, data: Any, row: Row, step_s: float, is_late: bool) -> Any:
+    """Prepare a row's own model and its data; return the initial state."""
     mujoco: Any = import_module("mujoco")
     values, qpos, qvel, _ = row
     model.opt.timestep = step_s
     for name, array in values:
         put_array(model, name, array)
-    data = mujoco.MjData(model)
+    mujoco.mj_resetData(model, data)
     set_constants(model, data)
     mujoco.mj_resetData(model, data)
     data.qpos[:], data.qvel[:] = qpos, qvel
@@ -178,11 +191,11 @@ def _begun(model: Any, row: Row, step_s: float, is_late: bool) -> tuple[Any, Any
     state = np.zeros(mujoco.mj_stateSize(model, physics))
     mujoco.mj_getState(model, data, state, physics)
     mujoco.mj_resetData(model, data)
-    return data, state
+    return state
 
 
 def _rolled(
-    model: Any,
+    spare: tuple[Any, Any],
     row: Row,
     controls: Sequence[Any],
     sensed: Any,
@@ -201,16 +214,15 @@ def _rolled(
     """
     rollout = import_module("mujoco.rollout")
     mujoco: Any = import_module("mujoco")
-    began_s = time.thread_time()
+    pace = _Pace(steps, judged_s)
+    model, data = spare
     try:
-        data, state = _begun(model, row, step_s, is_late)
+        state = _begun(model, data, row, step_s, is_late)
     except mujoco.FatalError as error:
         return 0, str(error)
     nq, control = model.nq, controls[row[-1]]
     if needs_steps(model, switches):
-        return _stepped(
-            model, data, state, control, sensed, qpos, columns, switches, steps, judged_s, began_s
-        )
+        return _stepped(model, data, state, control, sensed, qpos, columns, switches, steps, pace)
     if qpos is not None:
         qpos[0] = state[1 : 1 + nq]
     driven = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
@@ -250,11 +262,9 @@ def _rolled(
         if qpos is not None:
             qpos[done + 1 : done + good + 1] = reached[0, :good, 1 : 1 + nq]
         done += good
-        kinds = [one for one in mujoco.mjtWarning.__members__.values() if one.name != "mjNWARNING"]
-        why = ", ".join(one.name for one in kinds if data.warning[int(one)].number)
-        why = why or ("time" if good < len(block[0]) else "")
+        why = ", ".join(_warnings(data)) or ("time" if good < len(block[0]) else "")
         state, warmstart = reached[0, -1], data.qacc_warmstart.copy()
-        _foresee(time.thread_time() - began_s, done, steps, judged_s)
+        pace.foresee(done)
     return done, why
 
 
@@ -268,8 +278,7 @@ def _stepped(
     columns: Sequence[int],
     switches: Sequence[int],
     steps: int,
-    judged_s: float,
-    began_s: float,
+    pace: _Pace,
 ) -> tuple[int, str]:
     """Roll out one row step by step, with what its servos have beyond MuJoCo's."""
     mujoco: Any = import_module("mujoco")
@@ -284,8 +293,6 @@ def _stepped(
     servos, powered = ServoSteps(model, data), np.ones(nu, np.bool_)
     powers = control[:, len(places) :] > 0.5
     changes = set((1 + np.flatnonzero((powers[1:] != powers[:-1]).any(axis=1))).tolist()) | {0}
-    kinds = [one for one in mujoco.mjtWarning.__members__.values() if one.name != "mjNWARNING"]
-    numbers = [int(one) for one in kinds]
     seen, places_now = data.sensordata, data.qpos
     for done in range(steps):
         if len(controls):
@@ -303,25 +310,40 @@ def _stepped(
         if qpos is not None:
             qpos[done + 1] = places_now[:nq]
         if done % 64 == 0 or done + 1 == steps:
-            why = [
-                kind.name
-                for kind, number in zip(kinds, numbers, strict=True)
-                if data.warning[number].number
-            ]
-            if why:
+            if why := _warnings(data):
                 return max(done - 64, 0), ", ".join(why)
-            _foresee(time.thread_time() - began_s, done + 1, steps, judged_s)
+            pace.foresee(done + 1)
     return steps, ""
 
 
-def _foresee(spent_s: float, done: int, steps: int, judged_s: float) -> None:
-    """Abort a rollout that would last too long, and exit if the parent is gone."""
-    if os.getppid() != _PARENT:
-        os._exit(0)
-    needed_s = spent_s * steps / max(done, 1)
-    if spent_s > judged_s and needed_s > MAX_ROLLOUT_S:
-        raise _TooSlowError(f"slow: {needed_s:.0f} s for {steps} steps")
-    limit(cpu_s=PIECE_S)
+def _warnings(data: Any) -> list[str]:
+    """Return the names of what MuJoCo has warned of."""
+    (raised,) = np.nonzero(data.warning.number)
+    kinds = import_module("mujoco").mjtWarning
+    return [kinds(number).name for number in raised.tolist()]
+
+
+class _Pace:
+    """How fast a rollout goes, so that one that would last too long is aborted."""
+
+    def __init__(self, steps: int, judged_s: float) -> None:
+        self._steps, self._judged_s = steps, judged_s
+        self._began_s = time.monotonic()
+        # CPU time, and how far it was, once half of that is over: a thread's clock is slow to read.
+        self._since: tuple[float, int] | None = None
+
+    def foresee(self, done: int) -> None:
+        """Raise if it would last too long, and exit if the parent is gone."""
+        if os.getppid() != _PARENT:
+            os._exit(0)
+        if self._since is not None:
+            spent_s = time.thread_time() - self._since[0]
+            needed_s = spent_s * self._steps / max(done - self._since[1], 1)
+            if spent_s > self._judged_s / 2 and needed_s > MAX_ROLLOUT_S:
+                raise _TooSlowError(f"slow: {needed_s:.0f} s for {self._steps} steps")
+        elif time.monotonic() - self._began_s > self._judged_s / 2:
+            self._since = time.thread_time(), done
+        limit(cpu_s=PIECE_S)
 
 
 def set_constants(model: Any, data: Any) -> None:
