@@ -517,23 +517,22 @@ def run(order: Order, progress: Progress) -> Iterator[Part]:
 
 
 def trials(section: str, seeds: Sequence[int], logs: int) -> list[MachineTrial]:
-    """List the trials of a section, so many logs for each seed and machine.
+    """List the trials of a section: so many logs for each seed, machine and noise.
 
-    Of logs with another noise than the usual one there are a fifth, for the network a twentieth.
+    For the network a twentieth of them.
     """
-    found: list[MachineTrial] = []
     # Two runs of a pendulum alone: each of the others' takes minutes.
     servos = range(len(MACHINES), len(_MACHINES))
     every = {"servos": servos, "together": range(1), "untold": range(len(_MACHINES))}
-    for machine in every.get(section, range(len(MACHINES))):
-        for seed in seeds:
-            own = range(seed * 1_000_000, seed * 1_000_000 + logs)
-            for noise in NOISES if section in ("tuned", "servos", "together") else (1.0,):
-                share = 20 if section == "network" else 1 if noise == 1.0 else 5
-                share = 1 if section == "together" else share
-                chosen = own[: max(1, logs // share)]
-                found += [MachineTrial(section, machine, one, noise) for one in chosen]
-    return found
+    noises = NOISES if section in ("tuned", "servos", "together") else (1.0,)
+    logs = max(1, logs // 20) if section == "network" else logs
+    return [
+        MachineTrial(section, machine, seed * 1_000_000 + log, noise)
+        for machine in every.get(section, range(len(MACHINES)))
+        for seed in seeds
+        for noise in noises
+        for log in range(logs)
+    ]
 
 
 # ---- Tables for a terminal.

@@ -286,19 +286,20 @@ def _stepped(
     nq, nu = model.nq, model.nu
     if qpos is not None:
         qpos[0] = data.qpos
-    places = np.array(columns, np.intp)
-    controls = np.flatnonzero(places < nu)
-    efforts = np.flatnonzero((places >= nu) & (places < nu + model.nv))
-    on_controls, on_efforts = places[controls], places[efforts] - nu
+    count = len(columns)
+    # Single numbers are set one by one: to index an array by an array takes as long as a step.
+    held, driven = control[:, :count].tolist(), list(zip(range(count), columns, strict=True))
+    controls = [(at, place) for at, place in driven if place < nu]
+    efforts = [(at, place - nu) for at, place in driven if place >= nu]
     servos, powered = ServoSteps(model, data), np.ones(nu, np.bool_)
-    powers = control[:, len(places) :] > 0.5
+    powers = control[:, count:] > 0.5
     changes = set((1 + np.flatnonzero((powers[1:] != powers[:-1]).any(axis=1))).tolist()) | {0}
-    seen, places_now = data.sensordata, data.qpos
-    for done in range(steps):
-        if len(controls):
-            data.ctrl[on_controls] = control[done, controls]
-        if len(efforts):
-            data.qfrc_applied[on_efforts] = control[done, efforts]
+    seen, places_now, ctrl, applied = data.sensordata, data.qpos, data.ctrl, data.qfrc_applied
+    for done, row in enumerate(held):
+        for at, place in controls:
+            ctrl[place] = row[at]
+        for at, place in efforts:
+            applied[place] = row[at]
         if len(switches) and done in changes:
             powered[np.array(switches, np.intp)] = powers[done]
             servos.power(powered)

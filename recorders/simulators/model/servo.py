@@ -302,8 +302,8 @@ class ServoSteps:
                 brake, motor = (brake, motor) if self._powered[actuator] else (0.0, 0.0)
                 self._dampings[dof] = damping + brake
             if load or stribeck_load or stribeck:
-                speed = float(self._qvel[dof])
-                carried = abs(float(self._made[dof]) - motor * speed + float(self._bias[dof]))
+                speed = self._qvel.item(dof)
+                carried = abs(self._made.item(dof) - motor * speed + self._bias.item(dof))
                 at_rest = math.exp(-min(abs(speed) / slow, 700.0))
                 rubs = load + stribeck_load * at_rest
                 self._frictions[dof] = friction + stribeck * at_rest + rubs * carried
