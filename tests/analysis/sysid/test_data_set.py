@@ -25,6 +25,7 @@ TRUTH = {
     f"joint/{NAME}.frictionloss": 0.03,
 }
 RATE_HZ, LENGTH_S, EPISODES = 50, 3.0, 4
+OPENPI = "state", "actions"
 
 
 def rows_of(servo: Servo) -> Iterator[pd.DataFrame]:
@@ -53,12 +54,15 @@ def rows_of(servo: Servo) -> Iterator[pd.DataFrame]:
 def written(folder: Path, version: int, servo: Servo) -> Path:
     chunk = folder / "set" / "data" / "chunk-000"
     chunk.mkdir(parents=True)
-    rows = list(rows_of(servo))
+    rows, names = list(rows_of(servo)), ("observation.state", "action")
+    if version == 2:  # with the names of openpi's sets
+        rows = [one.rename(columns=dict(zip(names, OPENPI, strict=True))) for one in rows]
+        names = OPENPI
     if version == 3:
         pd.concat(rows).to_parquet(chunk / "file-000.parquet")
     for number, one in enumerate(rows if version == 2 else ()):
         one.to_parquet(chunk / f"episode_{number:06d}.parquet")
-    features = {one: {"names": [f"{NAME}.pos"]} for one in ("observation.state", "action")}
+    features = {one: {"names": [f"{NAME}.pos"]} for one in names}
     (folder / "set" / "meta").mkdir()
     info = {"fps": RATE_HZ, "robot_type": "made", "features": features}
     (folder / "set" / "meta" / "info.json").write_text(json.dumps(info))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import pickle
 import re
+import shutil
 import zipfile
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -378,6 +379,13 @@ def test_a_data_set_of_several_files_is_one_log(tmp_path: Path):
         read_episode(tmp_path)
     rows.drop(columns="action").to_parquet(file)
     with pytest.raises(LogError, match=r"other columns from episode_000001\.parquet on"):
+        read_episode(tmp_path)
+    file.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    with pytest.raises(LogError, match=r"000001\.parquet: is a pointer of Git LFS.*git lfs pull"):
+        read_episode(tmp_path)
+    shutil.rmtree(tmp_path / "data")
+    (tmp_path / "meta" / "episodes.jsonl").touch()
+    with pytest.raises(LogError, match=r"without data/chunk-\*/\*\.parquet; copy its data, too"):
         read_episode(tmp_path)
 
 

@@ -36,7 +36,7 @@ from tunenet_logs.formats.columns.table import (
     exact_seconds,
     plan_columns,
 )
-from tunenet_logs.formats.kinds import Start
+from tunenet_logs.formats.kinds import Start, foreign_kind, start_of
 from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.formats.readers import sandboxed
 from tunenet_logs.formats.sandbox import Sandbox, SandboxError
@@ -100,6 +100,8 @@ def _arrays(
 
 _MAX_LISTED = 1000  # chunks of a data set, and files of a chunk, that are looked at
 _COLUMNS = ("timestamp", "frame_index", "episode_index")  # of every data set, beside its features
+_STATES = ("observation.state", "state")  # of all joints; openpi's sets have the shorter names
+_ACTIONS = ("action", "actions")
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ def _features(columns: Sequence[ParquetColumn]) -> list[ParquetColumn]:
         for one in columns
         if one.kind == "n"
         and one.width
-        and (one.name.startswith("observation.") or one.name == "action")
+        and (one.name.startswith("observation.") or one.name in (*_STATES, *_ACTIONS))
         and not one.name.endswith("_is_pad")
     ]
 
@@ -136,7 +138,9 @@ def _wanted(columns: Sequence[ParquetColumn]) -> list[str]:
 
 def is_data_set(folder: Path) -> bool:
     """Return whether a folder is a data set with its own description."""
-    return (folder / "meta" / "info.json").is_file() and (folder / "data").is_dir()
+    meta = folder / "meta"
+    has_data = (folder / "data").is_dir() or (meta / "episodes").is_dir()
+    return (meta / "info.json").is_file() and (has_data or (meta / "episodes.jsonl").is_file())
 
 
 def data_set_files(folder: Path) -> list[Path]:
@@ -150,7 +154,13 @@ def read_data_set(folder: Path, options: ReadOptions) -> Episode:
     """Read all episodes of a LeRobot data set as runs of one log."""
     files = data_set_files(folder)
     if not files:
-        raise LogError(f"{folder}: is a LeRobot data set without data/chunk-*/*.parquet")
+        raise LogError(
+            f"{folder}: is a LeRobot data set without data/chunk-*/*.parquet", "copy its data, too"
+        )
+    for file in files:
+        start = start_of(file)
+        if not is_parquet(start) and (kind := foreign_kind(start.data, file)):
+            raise LogError(f"{file}: is {kind[0]}, which is not read as it is", kind[1])
     columns: list[ParquetColumn] = []
     parts: list[dict[str, NDArray[Any]]] = []
     with _opened(files[0]) as sandbox:
@@ -237,8 +247,8 @@ def lerobot_episode(
         flat += list(own.values())
     others = [one for one in columns if one.name not in _COLUMNS and one not in features]
     unused = {one.name: "no state of the robot" for one in others}
-    if "action" in unused:
-        unused["action"] = "each row is no list of numbers, but several steps, or of another kind"
+    for name in unused.keys() & set(_ACTIONS):
+        unused[name] = "each row is no list of numbers, but several steps, or of another kind"
     plan = ColumnPlan(tuple(names), tuple(groups), ((1, "episode"),), unused)
     notes = [known.warning] if known.warning else []
     what = f"LeRobot data set{f' of {known.robot}' if known.robot else ''}"
@@ -262,7 +272,7 @@ def _feature_groups(
     tell their unit. LeRobot writes a gripper's opening in per cent, or from 0 to 1, whatever the
     unit of the other joints is.
     """
-    clock, drives = Clock("timestamp", (0,), 0), feature == "action"
+    clock, drives = Clock("timestamp", (0,), 0), feature in _ACTIONS
     parts: dict[tuple[str, bool], dict[int, str]] = {}
     for at, label in enumerate(labels):
         meaning, quantity = meaning_of(label), ""
@@ -272,7 +282,7 @@ def _feature_groups(
         part = parts.setdefault((quantity, is_gripper(label)), {})
         part[at] = label if short in part.values() else short
     plain = parts.get(("", False), {})
-    if plain and feature in ("action", "observation.state") and ("position", False) not in parts:
+    if plain and feature in (*_STATES, *_ACTIONS) and ("position", False) not in parts:
         names, columns = [*plain.values()], [values[at] for at in plain]
         if options.angle_unit or told_by_values(names, columns):
             parts["position", False] = parts.pop(("", False))
