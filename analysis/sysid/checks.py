@@ -246,6 +246,12 @@ def _held_out_check(found: SimulatorFit, held_out: HeldOut) -> Check:
     begins = f", begun anew every {held_out.horizon_s:.2g} s" if held_out.count > 1 else ""
     if not held_out.is_told:
         begins += ", in which a straight line does as well"
+    hidden = {one.name for one in found.unidentifiable}
+    untold = [one for one in held_out.untold if one not in hidden]
+    advice = None
+    if untold:
+        begins += f", by what comes before, which does not tell {listed(untold, _FEW)}"
+        advice = "record twice as long, so that each part shows all of the motion"
     return spec.measured(
         rms[place],
         limits[place],
@@ -257,6 +263,7 @@ def _held_out_check(found: SimulatorFit, held_out: HeldOut) -> Check:
         column=column.label,
         before=held_out.before[place],
         begins=begins,
+        advice=advice,
     )
 
 

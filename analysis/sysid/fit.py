@@ -855,6 +855,7 @@ class HeldOut:
     straight: Array | None = None
     spread: Array | None = None
     whole: Array | None = None  # of a run that is held out: as given and predicted, shape (2, N)
+    untold: tuple[str, ...] = ()  # parameters of which what was fitted for it tells nothing
 
     @property
     def limits(self) -> Array:
@@ -929,14 +930,17 @@ class SimulatorFit:
         One that is confounded with others must be known within a quarter of its value.
         """
         own, half95 = slice(self.tuned), self.half95[: self.tuned]
-        wide = half95 > 0.25 * ranges_of(self.parameters)[own]
+        wide = _is_wide(half95, self.parameters[own])
         values = np.abs(self.solution.values[own])
         # Times less sure than if all others were known: from there on it is seen with them alone
         wide |= (self.inflation[own] > 40.0) & (half95 > 0.25 * values)
-        # What others have is all that is known where the log leaves it as wide as that.
-        usual = [one.usual[1] if one.usual else np.inf for one in self.parameters[own]]
-        wide |= half95 > 1.96 * TOLD * np.array(usual)
         return tuple(one for one, is_wide in zip(self.parameters, wide, strict=False) if is_wide)
+
+
+def _is_wide(half95: Array, parameters: Sequence[Parameter]) -> NDArray[np.bool_]:
+    """Return which intervals tell nothing: beside the ranges, or what others have; shape (T,)."""
+    usual = np.array([one.usual[1] if one.usual else np.inf for one in parameters])
+    return (half95 > 0.25 * ranges_of(parameters)) | (half95 > 1.96 * TOLD * usual)
 
 
 def fit_simulator(
@@ -1403,11 +1407,18 @@ def _held_out(
 ) -> HeldOut | None:
     """Judge a second fit, to what is not held out, by the rest."""
     target, residuals, values = steps.target, solution.residuals, solution.values
+    untold = tuple[str, ...]()
     if later.any():
         if min(np.bincount(target.which[later], minlength=len(target.columns))) < 2:
             return None
         values, residuals = replace(steps, fitted=~later).one_step(solution)
+        earlier = replace(solution, chosen=solution.chosen * ~later)
+        cov, _ = covariance(earlier, target, steps.parameters)
+        own = steps.parameters[:tuned]
+        wide = _is_wide(1.96 * np.sqrt(np.diag(cov))[:tuned], own)
+        untold = tuple(one.name for one, is_so in zip(own, wide, strict=True) if is_so)
     if predict is not None and (found := predict(values[:tuned], first)) is not None:
+        found = replace(found, untold=untold)
         if found.simulated is None:
             return found
         before = np.where(later, np.nan, target.values + residuals)
@@ -1424,4 +1435,5 @@ def _held_out(
         target.rms(residuals, later),
         target.rms(first - target.values, later),
         target.values + residuals,
+        untold=untold,
     )

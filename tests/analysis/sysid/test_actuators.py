@@ -41,6 +41,25 @@ def test_a_servo_with_a_limit_and_a_delay_is_recovered(tmp_path: Path) -> None:
         assert value == pytest.approx(log.truth[name], rel=0.03, abs=slack), name
 
 
+def test_terms_of_which_one_hides_another_are_found(tmp_path: Path) -> None:
+    log = servo_log(
+        71_000_001
+    )  # without its delay an offset is no better, and without that, no delay
+    tuning = tuned(log, tmp_path)
+    assert tuning.verdict == "ok", tuning.reason
+    values = found(tuning)
+    for name, rel in ((f"servo/{NAME}.zero", 0.02), ("delay/commands", 0.02)):
+        assert values[name] == pytest.approx(log.truth[name], rel=rel), name
+
+
+def test_a_doubt_names_what_the_first_part_does_not_tell(tmp_path: Path) -> None:
+    tuning = tuned(servo_log(71_000_002), tmp_path)  # reaches its torque limit late
+    assert tuning.verdict == "suspect"
+    assert tuning.reason is not None
+    assert f"which does not tell actuator/{NAME}.forcerange" in tuning.reason
+    assert "record twice as long" in tuning.reason
+
+
 def test_a_slow_rise_does_not_tell_a_gain_from_friction_by_load(tmp_path: Path) -> None:
     log = slow_servo_log(12)  # of a servo with friction by load, which a fit without it explains
     assert log.truth[f"servo/{NAME}.load_friction"] > 0
