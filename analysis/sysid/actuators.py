@@ -25,7 +25,7 @@ from tunenet_logs.analysis.sysid.fit import (
     reach_of,
 )
 from tunenet_logs.analysis.sysid.source import Connected, ModelSource, seen_at, tuned_first
-from tunenet_logs.episode import Array
+from tunenet_logs.episode import Array, Episode
 from tunenet_logs.recorders.simulators.base import Parameter
 from tunenet_logs.recorders.simulators.model.servo import ServoTerm, all_terms, neutral
 from tunenet_logs.terminal import listed
@@ -54,6 +54,7 @@ class Choice:
     selection: _Selection  # with the fits that it compares
     values: Mapping[str, float]  # where to begin, by the addresses to tune, no servo's too
     words: tuple[str, ...]  # what was added or left out, and why
+    rollouts: int  # that it took
 
     def omitted(self, parameters: Sequence[Parameter]) -> Callable[[Array], Array]:
         """Return what each term that is left out would change, of the size that is usual.
@@ -227,7 +228,13 @@ def choose(connected: Connected, source: ModelSource) -> Choice:
         if one.name in terms and not terms[one.name][0].is_base:
             term, actuator = terms[one.name]
             base[place] = neutral(model, term, actuator, given[one.name].given)
-    selection = _Selection(connected, terms, base, parameters)
+    spent = list[int]()
+
+    def counted(rows: Array) -> list[Episode]:
+        spent.append(len(rows))
+        return connected.rollouts(rows)
+
+    selection = _Selection(replace(connected, rollouts=counted), terms, base, parameters)
     free = tuple(
         place
         for place, one in enumerate(parameters)
@@ -274,7 +281,7 @@ def choose(connected: Connected, source: ModelSource) -> Choice:
     if left:
         what = listed(dict.fromkeys(left), 12).replace("commands", "delay")
         words.append(f"cannot be told by this log, and left out: {what}")
-    return Choice(selection, tuned, tuple(words))
+    return Choice(selection, tuned, tuple(words), sum(spent))
 
 
 def _is_switched(connected: Connected) -> bool:

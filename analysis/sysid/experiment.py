@@ -249,8 +249,16 @@ class SimulatorProblem(Problem):
 
         return replace(unseen, begin=begin, whole=charged(unseen.whole))
 
+    def _omitted(self, values: Array) -> Array:
+        """See `Connected.omitted`; a rollout for each effect, and one without, are charged."""
+        assert self._connected.omitted is not None
+        changes = self._connected.omitted(values)
+        self.rollouts += 1 + len(changes)
+        return changes
+
     def _fit(self, start: Array) -> FitResult:
         connected = self._connected
+        self.rollouts += connected.spent
         finer, predict = connected.finer, None
         fitted = [self._charged(one) for one in connected.unseen]
         unseen = fitted if connected.held_out is None else [self._charged(connected.held_out)]
@@ -267,7 +275,7 @@ class SimulatorProblem(Problem):
             predict,
             connected.later,
             connected.logs,
-            connected.omitted,
+            None if connected.omitted is None else self._omitted,
             partial(anew, fitted) if fitted else None,
             connected.joints,
         )
@@ -316,7 +324,7 @@ class SimulatorExperiment:
             parts, connected = chosen._all_connected(runs, selection)
             omitted = choice.omitted(tuned_first(connected.simulator.parameters))
             doubts = (*connected.doubts, *choice.words)
-            connected = replace(connected, doubts=doubts, omitted=omitted)
+            connected = replace(connected, doubts=doubts, omitted=omitted, spent=choice.rollouts)
             return chosen._held_out(connected, parts, runs, held_out, selection)
         return self._held_out(connected, parts, runs, held_out, selection)
 

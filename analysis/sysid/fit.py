@@ -836,7 +836,7 @@ _LOST = 0.2  # of how much a column varies: with more left, no start leads to a 
 _PARTS = 3  # of a log that is begun anew, by which its intervals are tried
 _FEW_SHOTS = 8  # pieces of a log; of more, other starts cost too much to be followed
 _LOOKS = 2  # at where a motion is predictable, from the start and from what that gave
-_STEP_ORDER = 2.0  # of most integrators: an endless one moves values twice as far as half the step
+_STEP_ORDER = 2.0  # an infinitely short step moves values twice as far as half a step (first order)
 _CONTRADICTS = 4.0  # of the cost, twice a log likelihood: two standard deviations
 
 

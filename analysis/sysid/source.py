@@ -156,6 +156,7 @@ class Connected:
     # What effects that are left out would change; see `fit_simulator`.
     omitted: Callable[[Array], Array] | None = None
     joints: Mapping[str, str] = field(default_factory=dict)  # that servos' parameters move, by name
+    spent: int = 0  # rollouts by which it was chosen what to tune
 
 
 @dataclass(frozen=True, eq=False)
