@@ -212,7 +212,7 @@ class TuneOptions(Hints, ReadOptions):
         "value): joint/NAME.damping, .frictionloss, .armature, .stiffness, .springref; "
         "body/NAME.mass, .ipos[i], .inertia[i], .spread[i], .inertial; geom/NAME.friction[i], "
         ".solref[i], .solimp[i]; of sensors: joint/NAME.effort_gain, .effort_offset, "
-        "site/NAME.force_offset[i], .torque_offset[i]; "
+        "site/NAME.force_offset[i], .torque_offset[i], delay/efforts, /poses, /wrenches; "
         "actuator/NAME.kp, .kv, .gear[i], .forcerange; actuators: all that its servos have, as far "
         "as the log tells it; tendon/NAME.damping, .frictionloss, .stiffness; "
         "option.gravity[i], .density, .viscosity; delay/commands; or a YAML file with ADDRESS: "

@@ -822,6 +822,11 @@ def page_values(record: Record) -> list[Block]:
     blocks: list[Block] = [Heading("Parameters"), shown] if shown.rows else []
     together = correlations_table(record)
     blocks += [Heading("Values that hang together"), together] if together.rows else []
+    if (known := record.posterior) is not None and len(known.sd) > 1 and not together.rows:
+        most = float(np.abs(np.triu(known.correlation, 1)).max())
+        blocks.append(
+            Paragraph(f"No two values hang together: correlations are {most:.2f} at most.")
+        )
     gaps = gaps_table(record)
     blocks += [Heading("Gap to the log, as given and tuned"), gaps] if gaps.rows else []
     return [*blocks, remarks(record)]

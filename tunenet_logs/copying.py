@@ -100,7 +100,7 @@ def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> 
                     count += 1
                     bar.update(1)
                     try:
-                        frame.decode()
+                        frame.decode(frame.coarse)
                     except LogError:
                         bad_ns.append(frame.stamp_ns)
             except LogError as error:

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from tunenet_logs.errors import COPY_AGAIN, LogError
 
 MAX_PIXELS = 36_000_000  # of any picture: a little more than 8K video has
+# A JPEG of more pixels than stills of 12 megapixels have is decoded to a quarter of its sides.
+LARGE_PIXELS, LARGE_REDUCED = 12_600_000, 4
 # Of all pictures of a video: so many whatever its size is, and so many for each of its bytes. A
 # rendered film of 4K without noise has 16,000 a byte, a camera's 100.
 FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE = 100_000_000, 20_000

@@ -17,7 +17,7 @@ from base64 import b64encode
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Iterator, Sequence
 from concurrent.futures import wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from itertools import islice
@@ -26,8 +26,10 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from tunenet_logs.addresses import Address, scheme_of, without_secrets
+from tunenet_logs.analysis.record import MAX_RECORD_BYTES, record_in
 from tunenet_logs.errors import LogError, UsageError, pip_install
-from tunenet_logs.files import real_path
+from tunenet_logs.files import read_small_file, real_path
+from tunenet_logs.formats.readers.arrays import TUNINGS_USE
 from tunenet_logs.formats.registry import (
     file_bytes,
     files_of,
@@ -398,6 +400,9 @@ def result_names(logs: Sequence[FoundLog], folder: Path | None) -> list[Path]:
     for path in (path for name in names for path in result_files(name)):
         is_link_to_one = path.is_symlink() and real_path(path) in inputs
         if real[path.parent] / path.name in inputs or is_link_to_one:
+            with suppress(LogError, ValueError):
+                if record_in(read_small_file(path, MAX_RECORD_BYTES)).provenance is not None:
+                    raise UsageError(f"{path}: is a tuning that tunenet-tune wrote", TUNINGS_USE)
             raise UsageError(f"{path}: is a log, and would be replaced by results; choose -o DIR")
     if folder is not None:
         if folder.exists() and not folder.is_dir():

@@ -24,12 +24,12 @@ simulated curves, bounces, checks, iterations, the simulator's settings, where i
 from. Takes JSONs that tunenet-tune wrote, and folders with them; several get an overview
 and a comparison. A folder with outcomes is a campaign, as tunenet-review takes it.
 
-The pictures of a filmed drop and the torques of an arm come from the review NAME.rrd
-beside NAME.json; where it is not there, the page says so.
+The pictures of a filmed drop, the torques of an arm and the signals of a model come from
+the review NAME.rrd beside NAME.json; where it is not there, the page says so.
 
 --png and --pdf write the figures for a paper, a column wide: a name with the suffix gets
-the main one (curves; torques; of several tunings the comparison), a folder all of them.
---csv writes observed and simulated curves, of an arm those of its torques.
+the main one (curves; torques; signals; of several tunings the comparison), a folder all
+of them. --csv writes observed and simulated curves, of an arm those of its torques.
 Needs matplotlib and Jinja2: {pip_install("report")}."""
 
 _EXAMPLES = """\

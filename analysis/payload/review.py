@@ -67,8 +67,11 @@ class PayloadReviewData:
 
     def title(self, joint: int, what: str = "") -> str:
         """Format a joint's number with the unit of its torque: "joint 2 [N·m]"."""
-        unit = "N" if self.arm.joints[joint].is_prismatic else "N·m"
-        return " ".join(filter(None, (f"joint {joint + 1}", what, f"[{unit}]")))
+        return " ".join(filter(None, (f"joint {joint + 1}", what, f"[{self.unit(joint)}]")))
+
+    def unit(self, joint: int) -> str:
+        """Return the unit of a joint's torque, or of its force."""
+        return "N" if self.arm.joints[joint].is_prismatic else "N·m"
 
 
 def payload_review_data(tuning: Tuning) -> PayloadReviewData:
@@ -542,6 +545,10 @@ def _log_torques(
             draw.log_lines(stream, f"{residual}/{name}", data.seconds, off_nm, style)
         dots = "observed", draw.OBSERVED, size
         draw.log_marks(stream, f"{torque}/observed", *dots, data.seconds, observed)
+        own = {"rigid": data.simulated[-1], "fitted": data.fitted}
+        both = {name: one.effort_nm[:, joint] for name, one in own.items() if one is not None}
+        said = f"joint {joint + 1}", data.unit(joint)
+        draw.log_signal(stream, joint, draw.ReviewedSignal(*said, data.seconds, observed, both))
         shown = np.concatenate([observed, best.effort_nm[:, joint]])
         low, high = float(shown.min()), float(shown.max())
         more = max(0.0, 2.0 - (high - low)) / 2  # less would make noise look like torque

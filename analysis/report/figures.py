@@ -1,6 +1,6 @@
-"""Draw a tuning's figures with matplotlib: curves, bounces, iterations, images and torques.
+"""Draw a tuning's figures with matplotlib: curves, bounces, iterations, images and signals.
 
-Those of a drop need its record alone; images and torques are read from its review. A `..._drawing`
+Those of a drop need its record alone; images and signals are read from its review. A `..._drawing`
 is None where there is nothing to draw.
 """
 
@@ -37,7 +37,7 @@ from tunenet_logs.analysis.compare import (
 )
 from tunenet_logs.analysis.presentation import number_words, quantity
 from tunenet_logs.analysis.record import Record
-from tunenet_logs.analysis.review.drawing import ReviewedFilm, ReviewedTorque
+from tunenet_logs.analysis.review.drawing import ReviewedFilm, ReviewedSignal
 from tunenet_logs.episode import Array, Picture, median_step
 from tunenet_logs.errors import LogError
 from tunenet_logs.images import decode_image
@@ -580,43 +580,133 @@ def _circle(axes: Axes, film: ReviewedFilm, at_s: float, thickness: float) -> No
         axes.add_patch(ring)
 
 
-# ---- Arm: torques by joint, from the review.
+# ---- Arm or model: signals with what simulators show in their place, from the review.
+
+# Of each curve its words, and its style.
+_CURVES: dict[str, tuple[str, dict[str, Any]]] = {
+    "rigid": ("rigid arm with the payload", {"color": SIMULATED}),
+    "fitted": ("with friction, offsets and the rest", {"color": THIRD}),
+    "given": ("simulated as given", {"color": MUTED, "linestyle": (0, (3, 1.5))}),
+    "tuned": ("tuned", {"color": SIMULATED}),
+    "closest": ("rejected", {"color": SIMULATED}),
+    "predicted": ("predicted by a fit to the rest", {"color": THIRD}),
+}
+_BAND = 2.0  # standard deviations of the noise that are drawn around no residual
 
 
 @styled
-def torques_drawing(torques: Sequence[ReviewedTorque]) -> Drawing | None:
-    """Plot measured and simulated torques, a chart per joint; None without any."""
-    if not torques:
+def signals_drawing(signals: Sequence[ReviewedSignal], more: int) -> Drawing | None:
+    """Plot observed and simulated signals, a chart each, of a model with its residual below.
+
+    None without any; `more` are not among them.
+    """
+    if not signals:
         return None
-    rows, columns = -(-len(torques) // 2), min(2, len(torques))
-    figure = new_figure(WIDE_IN, 1.15 * rows + 0.5)
-    grid: Any = figure.subplots(rows, columns, squeeze=False, sharex=True)
-    for axes in grid.flat[len(torques) :]:
+    is_arm = all("rigid" in one.curves for one in signals)
+    rows, columns = -(-len(signals) // 2), min(2, len(signals))
+    shares = [1.0] if is_arm else [1.0, 0.5]  # heights of a signal's charts
+    heights = shares * rows
+    figure = new_figure(WIDE_IN, 1.15 * sum(heights) + 0.5)
+    grid: Any = figure.subplots(
+        len(heights), columns, squeeze=False, sharex="all" if is_arm else "none",
+        height_ratios=heights,
+    )  # fmt: skip
+    for axes in grid.flat:
         axes.set_axis_off()
-    for axes, torque in zip(grid.flat, torques, strict=False):
-        part = thinned(len(torque.seconds), 250)
-        seconds = torque.seconds[part]
-        axes.plot(seconds, torque.observed_nm[part], ".", color=OBSERVED, markersize=1.8)
-        axes.plot(seconds, torque.simulated_nm[part], color=SIMULATED, linewidth=0.9)
-        if torque.fitted_nm is not None:
-            axes.plot(seconds, torque.fitted_nm[part], color=THIRD, linewidth=0.9)
-        axes.set_title(f"joint {torque.joint} [N·m]", pad=2)
-    for axes in grid.flat[max(0, len(torques) - columns) : len(torques)]:
-        axes.xaxis.set_tick_params(labelbottom=True)
+    lines: dict[str, Any] = {}
+    for number, one in enumerate(signals):
+        row, column = divmod(number, columns)
+        charts = grid[len(shares) * row : len(shares) * (row + 1), column]
+        for axes in charts:
+            axes.set_axis_on()
+        part = thinned(len(one.seconds), 250)
+        lines |= _signal(charts[0], one, part)
+        if not is_arm:
+            lines |= _residual(charts[1], one, part)
+            charts[0].xaxis.set_tick_params(labelbottom=False)
+            charts[1].set_xlim(charts[0].get_xlim())
+        if is_arm and number + columns >= len(signals):
+            charts[0].xaxis.set_tick_params(labelbottom=True)
     figure.supxlabel("time [s]", fontsize=8)
-    lines = grid.flat[0].get_lines()
-    names = ["measured", "rigid arm with the payload", "with friction, offsets and the rest"]
-    figure.legend(lines, names[: len(lines)], loc="outside upper right", ncols=3)
-    fitted = [torque for torque in torques if torque.fitted_nm is not None]
-    caption = (
-        f"Torques of {len(torques)} joints that the payload is felt in or that were measured: "
-        "dots as measured, one line for the rigid arm with the tuned payload"
-    )
-    caption += ", one for all that was fitted." if fitted else "."
+    figure.align_ylabels()
+    figure.legend(lines.values(), lines, loc="outside upper right", ncols=3)
     spans = ", ".join(
-        f"joint {torque.joint} {np.nanmin(torque.observed_nm):.1f} to "
-        f"{np.nanmax(torque.observed_nm):.1f}"
-        for torque in torques
+        f"{one.name} {np.nanmin(one.observed):.3g} to {np.nanmax(one.observed):.3g}"
+        + f" {one.unit}".rstrip()
+        for one in signals
     )
-    alt = f"A chart for each joint of torque over time. Measured [N·m]: {spans}."
-    return Drawing("torques", "Measured and simulated torques", caption, alt, figure)
+    if is_arm:
+        caption = (
+            f"Torques of {len(signals)} joints that the payload is felt in or that were measured: "
+            "dots as measured, one line for the rigid arm with the tuned payload"
+        )
+        has_rest = any("fitted" in one.curves for one in signals)
+        caption += ", one for all that was fitted." if has_rest else "."
+        alt = f"A chart for each joint of torque over time. Measured: {spans}."
+        return Drawing("torques", "Measured and simulated torques", caption, alt, figure)
+    caption = "Signals, that first of which most is left, with what is simulated less observed."
+    if more > 0:
+        caption += f" {more} more, of which less is left, are not drawn."
+    if held := [one for one in signals if np.isfinite(one.held_out_s)]:
+        caption += (
+            " Shaded is what was held out: its prediction is fitted to the rest, and saw of it no "
+            "more than where a piece begins"
+        )
+        caption += "; what is tuned saw it." if any("tuned" in one.curves for one in held) else "."
+    if any(np.isfinite(one.noise) for one in signals):
+        caption += f" The band is ± {_BAND:g} standard deviations of the signal's own noise."
+    if unknown := [one.name for one in signals if not np.isfinite(one.noise)]:
+        caption += f" None where what moves is as fast as noise: {', '.join(unknown)}."
+    alt = f"Two charts for each signal, its values over time and the residual. Observed: {spans}."
+    return Drawing("signals", "Observed and simulated", caption, alt, figure)
+
+
+def _signal(axes: Axes, one: ReviewedSignal, part: slice) -> dict[str, Any]:
+    """Plot a signal; return its lines by their names."""
+    seconds, is_arm = one.seconds[part], "rigid" in one.curves
+    dots = {"color": OBSERVED, "markersize": 1.8}
+    lines = {
+        "measured" if is_arm else "observed": axes.plot(seconds, one.observed[part], ".", **dots)[0]
+    }
+    shown = [one.observed[part]]
+    for name, values in one.curves.items():
+        if name in _CURVES:
+            said, style = _CURVES[name]
+            lines[said] = axes.plot(seconds, values[part], linewidth=0.9, **style)[0]
+            shown += [values[part]] if name != "given" else []
+    unit = f" [{drawable(one.unit, 12)}]" if one.unit else ""
+    axes.set_title(f"{drawable(one.name, 34)}{unit}", pad=2)
+    if "given" in one.curves:  # it may run off
+        known = np.concatenate(shown)
+        low, high = np.nanmin(known), np.nanmax(known)
+        reach = max(high - low, 4.0 * np.nan_to_num(one.noise), 1e-9)
+        given = np.clip(one.curves["given"][part], low - 0.5 * reach, high + 0.5 * reach)
+        low, high = np.nanmin([low, *given]), np.nanmax([high, *given])
+        axes.set_ylim(low - 0.05 * reach, high + 0.05 * reach)
+    _shade(axes, one)
+    return lines
+
+
+def _residual(axes: Axes, one: ReviewedSignal, part: slice) -> dict[str, Any]:
+    """Plot what is simulated less observed over the band of noise; return the band by its name."""
+    lines: dict[str, Any] = {}
+    usual = [_BAND * np.nan_to_num(one.noise), 1e-9]
+    if np.isfinite(one.noise):
+        band = axes.axhspan(-_BAND * one.noise, _BAND * one.noise, color=BAND, zorder=0.4)
+        lines["noise"] = band
+    for name in ("tuned", "closest", "predicted"):
+        if name in one.curves:
+            off = one.curves[name][part] - one.observed[part]
+            axes.plot(one.seconds[part], off, linewidth=0.7, color=_CURVES[name][1]["color"])
+            known = np.abs(off[np.isfinite(off)])
+            usual += [float(np.quantile(known, 0.98))] if len(known) else []
+    axes.set_ylim(-1.3 * max(usual), 1.3 * max(usual))
+    axes.yaxis.set_major_locator(MaxNLocator(2, symmetric=True))
+    _shade(axes, one)
+    return lines
+
+
+def _shade(axes: Axes, one: ReviewedSignal) -> None:
+    """Shade what was held out."""
+    if np.isfinite(one.held_out_s):
+        axes.axvspan(one.held_out_s, one.seconds[-1], color=THIRD, alpha=0.07, linewidth=0)

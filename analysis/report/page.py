@@ -60,13 +60,12 @@ from tunenet_logs.analysis.report.figures import (
     curves_drawing,
     frames_drawing,
     iterations_drawing,
+    signals_drawing,
     strobe_drawing,
     styled,
-    torques_drawing,
 )
 from tunenet_logs.analysis.result_files import Logs, check_place, in_words, logs_of, mark, marked
 from tunenet_logs.analysis.review.drawing import ReviewedLog, read_back
-from tunenet_logs.episode import Array
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.files import real_path
 from tunenet_logs.terminal import Progress, short_name
@@ -218,7 +217,7 @@ def drawings_of(record: Record, seen: ReviewedLog) -> list[Drawing]:
     makers: list[Callable[[], Drawing | None]] = [
         lambda: curves_drawing(record),
         lambda: film and strobe_drawing(film),
-        lambda: torques_drawing(seen.torques),
+        lambda: signals_drawing(seen.signals, len(record.gaps) - len(seen.signals)),
         lambda: bounces_drawing(record),
         lambda: film and frames_drawing(film, record),
         lambda: iterations_drawing(record),
@@ -243,9 +242,10 @@ def missing_words(record: Record, seen: ReviewedLog, why: str, refused: Sequence
     is_film = record.motion.fit is not None and record.motion.fit.unit == "px"
     if seen.film is None and is_film:
         words.append(f"No pictures of the film: {why or 'its review has none'}.")
-    if not seen.torques and record.task == "payload" and record.estimates:
+    what = {"payload": "torques", "simulator": "curves of signals"}.get(record.task or "")
+    if what and not seen.signals and record.estimates:
         words.append(
-            f"No torques: the JSON holds none, and {why or 'its review has none'}. Tune the log "
+            f"No {what}: the JSON holds none, and {why or 'its review has none'}. Tune the log "
             "again without --no-review, and keep both files together."
         )
     elif why and not is_film:
@@ -341,27 +341,22 @@ def write_report(
 def curves_csv(record: Record, seen: ReviewedLog) -> str:
     """Format observed and simulated curves by time; "" without any.
 
-    Of a ball its heights [m], of an arm the torques of its joints [N·m], as its review has them.
+    Of a ball its heights [m]; of an arm the torques of its joints [N·m], and of a simulator its
+    signals, as its review has them: at all their stamps, empty where one has nothing.
     """
-    curves = record.motion.curves
-    columns: dict[str, Array] = {}
-    if curves is not None:
-        columns = {
-            "seconds": curves.seconds,
-            "observed_m": curves.observed_m,
-            "simulated_m": curves.simulated_m,
-        }
-    for one in seen.torques:
-        columns["seconds"] = one.seconds
-        parts = {"observed": one.observed_nm, "rigid": one.simulated_nm, "fitted": one.fitted_nm}
-        columns |= {
-            f"joint_{one.joint}_{name}_nm": it for name, it in parts.items() if it is not None
-        }
-    if not columns:
-        return ""
     import pandas as pd
 
-    return pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
+    frames: list[pd.DataFrame] = []
+    if record.motion.curves is not None:
+        frames.append(record.motion.curves.to_frame())
+    for one in seen.signals:
+        unit = one.unit.replace("·", "").replace("/", "_per_").lower()
+        columns = {
+            "_".join(filter(None, [*one.name.split(), name, unit])): values
+            for name, values in {"observed": one.observed, **one.curves}.items()
+        }
+        frames.append(pd.DataFrame(columns, index=pd.Index(one.seconds, name="seconds")))
+    return pd.concat(frames, axis=1).to_csv(float_format="%.9g") if frames else ""
 
 
 # ---- Page: render its blocks by a template.

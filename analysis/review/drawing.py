@@ -1,6 +1,6 @@
 """Drawing primitives of all reviews in Rerun: colours, timelines, charts, a legend, images.
 
-`read_back` reads from a finished review what its JSON lacks: images with their track, torques.
+`read_back` reads from a finished review what its JSON lacks: images with their track, signals.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import math
 import re
 import uuid
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -647,7 +647,7 @@ def reduced(frame: Frame) -> Frame:
     """Downsample a frame to a small JPEG."""
     import cv2
 
-    picture = frame.decode()
+    picture = frame.decode(frame.coarse)
     height, width = picture.shape[:2]
     # Longer side of a reduced picture: about what a view on a screen shows [px]
     scale = min(1.0, 640 / max(height, width))
@@ -674,7 +674,8 @@ def blank_picture(size_px: tuple[int, int], words: str) -> bytes:
 # ---- Reading a review back.
 
 _MAX_REVIEW_BYTES = 512 * 1024 * 1024  # of a review; ours keep under 50 MB of pictures
-_JOINT = re.compile(r"/torque/joint_(\d{1,2})/(observed|fit|iterations)")
+_SIGNAL = re.compile(r"/compared/(\d{1,2})")
+MAX_SIGNALS = 12  # that are drawn of a model on a page: more would be too small to read
 
 
 @dataclass(frozen=True, eq=False)
@@ -693,14 +694,20 @@ class ReviewedFilm:
 
 
 @dataclass(frozen=True, eq=False)
-class ReviewedTorque:
-    """Torque of one joint."""
+class ReviewedSignal:
+    """One column of a log's signals, and what simulators show in its place."""
 
-    joint: int  # its number, from 1
+    name: str  # without unit, such as "joint 3" or "position elbow"
+    unit: str  # of its values
     seconds: Array  # on the log's time [s], shape (T,)
-    observed_nm: Array  # as measured [N·m], shape (T,)
-    simulated_nm: Array  # of the rigid arm with the tuned payload [N·m], shape (T,)
-    fitted_nm: Array | None  # with friction, offsets and other nuisance terms [N·m]; None without
+    observed: Array  # shape (T,)
+    # By name, shape (T,) each, NaN where there is nothing. Of a payload's torque "rigid", the arm
+    # with the tuned payload, and "fitted", with friction, offsets and other nuisance terms. Of a
+    # simulator "given", "tuned" or, if that was rejected, "closest", and "predicted" of what is
+    # held out, by a fit to the rest.
+    curves: Mapping[str, Array]
+    noise: float = math.nan  # standard deviation of the observation; NaN where it is not known
+    held_out_s: float = math.nan  # where what is held out begins; NaN without
 
 
 @dataclass(frozen=True, eq=False)
@@ -708,7 +715,19 @@ class ReviewedLog:
     """Contents of one review."""
 
     film: ReviewedFilm | None = None  # None if it shows none
-    torques: tuple[ReviewedTorque, ...] = ()  # joint by joint; none for a ball
+    signals: tuple[ReviewedSignal, ...] = ()  # in the order of the review; none for a ball
+
+
+def log_signal(stream: rr.RecordingStream, number: int, signal: ReviewedSignal) -> None:
+    """Log a signal for pages: no view shows it."""
+    entity = f"compared/{number}"
+    values = np.column_stack([signal.observed, *signal.curves.values()])
+    style = [(name, MUTED, FINE) for name in ("observed", *signal.curves)]
+    log_lines(stream, entity, signal.seconds, values, style)
+    about = rr.AnyValues(
+        name=signal.name, unit=signal.unit, noise=signal.noise, held_out_s=signal.held_out_s
+    )
+    stream.log(entity, about, static=True)
 
 
 def read_back(path: Path, log_sha256: str) -> ReviewedLog:
@@ -728,7 +747,7 @@ def read_back(path: Path, log_sha256: str) -> ReviewedLog:
             still: dict[str, dict[str, Any]] = {}
             for chunk in reader.stream():
                 entity = str(chunk.entity_path)
-                if not (entity.startswith("/film/") or _JOINT.fullmatch(entity)):
+                if not (entity.startswith("/film/") or _SIGNAL.fullmatch(entity)):
                     continue
                 if not chunk.is_static and "log_time_s" not in chunk.timeline_names:
                     continue
@@ -737,7 +756,7 @@ def read_back(path: Path, log_sha256: str) -> ReviewedLog:
                 batch = chunk.to_record_batch()
                 columns = dict(zip(batch.schema.names, batch.columns, strict=True))
                 (still if chunk.is_static else moving).setdefault(entity, {}).update(columns)
-            return ReviewedLog(_film(moving, still), _torques(moving))
+            return ReviewedLog(_film(moving, still), _signals(moving, still))
     except (RuntimeError, ValueError, LookupError, TypeError, OSError) as error:
         raise LogError(f"{path.name} cannot be read ({short_name(error, 80)})") from error
 
@@ -794,30 +813,17 @@ def _only(cell: Any) -> Any:
     return cell[0] if isinstance(cell, list) and len(cell) == 1 else cell
 
 
-def _torques(moving: dict[str, Any]) -> tuple[ReviewedTorque, ...]:
-    joints = sorted({int(found[1]) for name in moving if (found := _JOINT.fullmatch(name))})
-    torques: list[ReviewedTorque] = []
-    for joint in joints[:16]:
-        observed = moving.get(f"/torque/joint_{joint}/observed")
-        simulated = moving.get(f"/torque/joint_{joint}/iterations")
-        if observed is None or simulated is None:
-            continue
-        seconds = _seconds(observed)
-        fit = moving.get(f"/torque/joint_{joint}/fit")
-        # The last value of each row, shape (T,): the last iteration's.
-        curves = [
-            None
-            if columns is None
-            else np.array(
-                [row[-1] if row else np.nan for row in columns["Scalars:scalars"].to_pylist()],
-                np.float64,
-            )
-            for columns in (observed, simulated, fit)
-        ]
-        if any(curve is not None and curve.shape != seconds.shape for curve in curves):
-            raise LogError("the review's torques have different lengths")
-        measured, rigid, fitted = curves
-        assert measured is not None
-        assert rigid is not None
-        torques.append(ReviewedTorque(joint, seconds, measured, rigid, fitted))
-    return tuple(torques)
+def _signals(moving: dict[str, Any], still: dict[str, Any]) -> tuple[ReviewedSignal, ...]:
+    numbers = sorted(int(found[1]) for name in moving if (found := _SIGNAL.fullmatch(name)))
+    signals: list[ReviewedSignal] = []
+    for number in numbers:
+        columns, about = moving[f"/compared/{number}"], still[f"/compared/{number}"]
+        names = about["SeriesLines:names"].to_pylist()[0]
+        observed, *curves = np.array(columns["Scalars:scalars"].to_pylist(), np.float64).T
+        name, unit, noise, held_out_s = (
+            _only(about[key].to_pylist()[0]) for key in ("name", "unit", "noise", "held_out_s")
+        )
+        both = dict(zip(map(str, names[1:]), curves, strict=True))
+        told = both, float(noise), float(held_out_s)
+        signals.append(ReviewedSignal(str(name), str(unit), _seconds(columns), observed, *told))
+    return tuple(signals)

@@ -15,13 +15,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.analysis.sysid.fit import (
-    TOLD,
+from tunenet_logs.analysis.sysid.fit import TOLD, later_part
+from tunenet_logs.analysis.sysid.least_squares import (
     RolloutLeastSquares,
     Solution,
     correlation_length,
     covariance,
-    later_part,
     reach_of,
 )
 from tunenet_logs.analysis.sysid.source import Connected, ModelSource, seen_at, tuned_first

@@ -19,15 +19,9 @@ from tunenet_logs.analysis.checks import (
     log_checks,
     table,
 )
-from tunenet_logs.analysis.sysid.fit import (
-    MISSED,
-    Agreement,
-    ComparedColumns,
-    HeldOut,
-    SimulatorFit,
-    noises_of,
-    ranges_of,
-)
+from tunenet_logs.analysis.sysid.columns import ComparedColumns, noises_of
+from tunenet_logs.analysis.sysid.fit import MISSED, Agreement, HeldOut, SimulatorFit
+from tunenet_logs.analysis.sysid.least_squares import ranges_of
 from tunenet_logs.analysis.sysid.source import SimulatorDetection
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.recorders.simulators.base import Parameter

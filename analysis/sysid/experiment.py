@@ -37,14 +37,10 @@ from tunenet_logs.analysis.sysid.checks import (
     untold_check,
     whole_check,
 )
-from tunenet_logs.analysis.sysid.fit import (
-    Begun,
-    ComparedColumns,
-    Run,
-    SimulatorFit,
-    fit_simulator,
-)
+from tunenet_logs.analysis.sysid.columns import ComparedColumns
+from tunenet_logs.analysis.sysid.fit import Begun, SimulatorFit, fit_simulator
 from tunenet_logs.analysis.sysid.horizons import Unseen, anew, predicted
+from tunenet_logs.analysis.sysid.least_squares import Run
 from tunenet_logs.analysis.sysid.matching import runs_of
 from tunenet_logs.analysis.sysid.source import (
     Connected,

@@ -14,18 +14,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.analysis.sysid.fit import (
-    BINS,
-    GROWN,
-    GROWTH,
-    Begun,
-    ComparedColumns,
-    HeldOut,
-    RolloutLeastSquares,
-    Run,
-    growth,
-    ranges_of,
-)
+from tunenet_logs.analysis.sysid.columns import BINS, GROWN, GROWTH, ComparedColumns, growth
+from tunenet_logs.analysis.sysid.fit import Begun, HeldOut
+from tunenet_logs.analysis.sysid.least_squares import RolloutLeastSquares, Run, ranges_of
 from tunenet_logs.episode import Array
 from tunenet_logs.errors import NotFoundError
 

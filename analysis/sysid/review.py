@@ -19,8 +19,10 @@ import rerun.blueprint as rrb
 
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.presentation import markdown_table, quantity, said_names
+from tunenet_logs.analysis.record import excess
 from tunenet_logs.analysis.review import drawing as draw
-from tunenet_logs.analysis.sysid.fit import HeldOut, SimulatorFit, later_part, noises_of
+from tunenet_logs.analysis.sysid.columns import Column, noise_of, noises_of
+from tunenet_logs.analysis.sysid.fit import HeldOut, SimulatorFit, later_part
 from tunenet_logs.analysis.sysid.source import SimulatorDetection
 from tunenet_logs.episode import Array, Signal
 from tunenet_logs.recorders.simulators.base import Parameter
@@ -86,6 +88,9 @@ class ShownColumn:
     held_out_rms: tuple[float, float] | None
     held_out_s: float | None  # where its hold-out begins, on the axis of `seconds`; None without
     commanded: Array | None = None  # what its joint was asked for, shape (T,); None without
+    tuned: Array | None = None  # of the result, wherever it begins anew, shape (T,)
+    spread: float = 0.0  # standard deviation of what was observed
+    is_noise_known: bool = False  # whether the log tells it: what moves is less rough by far
 
     def title(self, what: str = "") -> str:
         """Format the name with its unit: "position elbow [rad]"."""
@@ -105,8 +110,7 @@ class ShownColumn:
 class SimulatorReviewData:
     """Data of one tuning's review, but for the scene."""
 
-    columns: tuple[ShownColumn, ...]  # those that vary most, relative to their noise, first
-    left_out: int  # how many more there are
+    every: tuple[ShownColumn, ...]  # those that vary most, relative to their noise, first
     iterates: tuple[Iterate, ...]  # the last is the result
     drawn: tuple[int, ...]  # indices of the iterates that are drawn over the log's time
     parameters: tuple[Parameter, ...]  # that were tuned, P of them
@@ -116,6 +120,11 @@ class SimulatorReviewData:
     # Of a run that is held out, its columns and name; () and "" where a part of each log is.
     others: tuple[ShownColumn, ...] = ()
     run: str = ""
+
+    @property
+    def columns(self) -> tuple[ShownColumn, ...]:
+        """Columns that are drawn: more would be too small to read."""
+        return self.every[:16]
 
     @property
     def predicted(self) -> tuple[ShownColumn, ...]:
@@ -153,8 +162,7 @@ def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
             )
         )
     varying = [-one.spread / max(one.noise, 1e-9 * one.spread, 1e-300) for one in target.columns]
-    # Those that vary most are drawn: more would be too small to read.
-    order = np.argsort(varying, kind="stable")[:16]
+    order = np.argsort(varying, kind="stable")
     # Shorten names to "position elbow", or "tool/pose x" of /robot/tool/pose; longer if two are
     # equal. In letters: a title's room in a laptop's view.
     short: list[str] = []
@@ -177,7 +185,6 @@ def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
     interval = tuning.interval95
     return SimulatorReviewData(
         tuple(columns),
-        len(target.columns) - len(columns),
         tuple(iterates),
         tuple(lines.tolist()),
         tuple(tuning.parameters),
@@ -209,6 +216,8 @@ def _of_run(held: HeldOut | None) -> tuple[tuple[ShownColumn, ...], str]:
             np.zeros(0),
             (float(held.rms[number]), float(held.before[number])),
             float(column.seconds[0]),
+            spread=column.spread,
+            is_noise_known=_is_noise_known(column, held.whole[1, end - len(column.values) : end]),
         )
         found.append((column.spread / max(column.noise, 1e-9 * column.spread, 1e-300), shown))
     found.sort(key=lambda one: -one[0])
@@ -232,6 +241,7 @@ def _shown(
     kept = np.flatnonzero(target.which == number)[::every]
     off = seen[target.which == number] - column.values[:, None]
     counts = np.maximum(np.isfinite(off).sum(axis=0), 1)
+    tuned = seen[:, -1] if fit is None else fit.simulated
     return ShownColumn(
         name,
         column.unit,
@@ -240,12 +250,21 @@ def _shown(
         column.values[::every],
         seen[kept],
         None if held is None or held.simulated is None else held.simulated[kept],
-        None if held is None or fit is None else fit.first[kept],
+        None if fit is None else fit.first[kept],
         np.sqrt(np.nansum(off**2, axis=0) / counts),
         None if held is None else (float(held.rms[number]), float(held.before[number])),
         None if held is None else float(column.seconds[later][0]) + found.offset_s,
         _commanded(found, number, column.seconds[::every]),
+        tuned[kept],
+        column.spread,
+        _is_noise_known(column, tuned[target.which == number]),
     )
+
+
+def _is_noise_known(column: Column, simulated: Array) -> bool:
+    """Return whether a column's noise is that of its sensor: what is simulated has half of it."""
+    moves = noise_of(simulated[np.isfinite(simulated)])
+    return not column.is_jumpy and moves < 0.5 * column.noise
 
 
 def _commanded(found: SimulatorDetection, number: int, seconds: Array) -> Array | None:
@@ -683,6 +702,7 @@ _BAND = 2.0  # standard deviations of the noise that are drawn around no residua
 def log_simulator(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     """Log all views of a simulator's review, and return their layout."""
     data = simulator_review_data(tuning)
+    _log_signals(stream, data, is_tuned=tuning.estimate is not None)
     curves, residuals = _log_plots(stream, data)
     main, others = curves[: len(data.main)], curves[len(data.main) :]
     entries: list[tuple[str, list[draw.Color]]] = [("observed", [draw.OBSERVED]), _iterations(data)]
@@ -704,7 +724,8 @@ def log_simulator(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         rrb.Horizontal(*parts, column_shares=shares, name=f"overlay (timeline {draw.LOG_TIME})")
     ]
     if others:
-        more = f", {data.left_out} more are not drawn" if data.left_out else ""
+        left_out = len(data.every) - len(data.columns)
+        more = f", {left_out} more are not drawn" if left_out else ""
         name = f"other signals{more} (timeline {draw.LOG_TIME})"
         grid = rrb.Grid(*others, grid_columns=_across(len(others)))
         key = draw.key_view(len(entries))
@@ -770,6 +791,42 @@ def _log_plots(
         title = column.title("simulated - observed")
         residuals.append(draw.plot_view(residual, title, draw.ticked(-reach, reach)))
     return curves, residuals
+
+
+def _log_signals(stream: rr.RecordingStream, data: SimulatorReviewData, *, is_tuned: bool) -> None:
+    """Log the columns for pages: of a run that is held out, then of what was fitted.
+
+    Those first of which most is left beside their noise, measured by how much a column varies, or a
+    tenth of the most of its unit, as a hold-out is.
+    """
+    every = [*data.every, *data.others]
+
+    def left(one: ShownColumn) -> float:
+        result = one.fitted if one.tuned is None else one.tuned
+        off = np.full(1, np.inf) if result is None else result - one.observed
+        off = off[np.isfinite(off)]
+        rms = float(np.sqrt(np.mean(off**2))) if len(off) else math.inf
+        most = max(other.spread for other in every if other.unit == one.unit)
+        return excess(rms, one.noise) / max(one.spread, 0.1 * most, 1e-12)
+
+    others = sorted(data.others, key=left, reverse=True)[: draw.MAX_SIGNALS // 2]
+    rest = sorted(data.every, key=left, reverse=True)[: draw.MAX_SIGNALS - len(others)]
+    for number, one in enumerate([*others, *rest]):
+        given = one.simulated[:, 0] if one.given is None else one.given
+        result = "tuned" if is_tuned else "closest"
+        curves = {"given": given, result: one.tuned, "predicted": one.fitted}
+        if one.fitted is not None and one.held_out_s is not None:
+            curves["predicted"] = np.where(one.seconds < one.held_out_s, np.nan, one.fitted)
+        shown = draw.ReviewedSignal(
+            f"{data.run} {one.name}" if one in others else one.name,
+            "" if one.unit == "1" else one.unit,
+            one.seconds,
+            one.observed,
+            {name: curve for name, curve in curves.items() if curve is not None},
+            one.noise if one.is_noise_known else math.nan,
+            math.nan if one.held_out_s is None else one.held_out_s,
+        )
+        draw.log_signal(stream, number, shown)
 
 
 def _iterations(data: SimulatorReviewData) -> tuple[str, list[draw.Color]]:

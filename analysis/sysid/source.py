@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.analysis.record import TunedModel
-from tunenet_logs.analysis.sysid.fit import FITTED, Begun, ComparedColumns, compared, noise_of
+from tunenet_logs.analysis.sysid.columns import ComparedColumns, compared, noise_of
+from tunenet_logs.analysis.sysid.fit import FITTED, Begun
 from tunenet_logs.analysis.sysid.horizons import Unseen
 from tunenet_logs.analysis.sysid.matching import rotations
 from tunenet_logs.episode import Array, Episode, LeftOut
@@ -34,6 +35,7 @@ from tunenet_logs.recorders.simulators.mujoco import mujoco
 from tunenet_logs.terminal import listed, one_line, short_name
 
 if TYPE_CHECKING:
+    from tunenet_logs.analysis.sysid.matching import Match
     from tunenet_logs.recorders.simulators.model.parameters import ModelParameter
     from tunenet_logs.recorders.simulators.model.reading import ModelFiles, ModelProcess
     from tunenet_logs.recorders.simulators.model.rollout import ModelSimulator
@@ -301,7 +303,7 @@ class ModelSource:
     def connect(self, episode: Episode) -> Connected:
         """Connect it to a log, which drives it and is compared with it; NotFoundError likewise."""
         from tunenet_logs.analysis.sysid.matching import Match, doubts
-        from tunenet_logs.recorders.simulators.model.parameters import DELAY, movable
+        from tunenet_logs.recorders.simulators.model.parameters import DELAY, DELAYED, movable
         from tunenet_logs.recorders.simulators.model.rollout import ModelSimulator
 
         match = Match(episode, self.model, self.told)
@@ -310,6 +312,11 @@ class ModelSource:
         end_ns = max(int(stamp[-1]) for stamp in stamps)
         state = initial_state(self.model, match.starts(), start_ns)
         match.choose_turned(state.qpos)
+        for one in self.tuned:
+            if one.owner in DELAYED:
+                low, high = one.parameter.training_range
+                end_ns += round(max(-low, 0.0) * 1e9)
+                self._await(match, DELAYED[one.owner], start_ns + round(max(high, 0.0) * 1e9))
         simulator = ModelSimulator(
             movable(self.spec, self.tuned),
             self.tuned,
@@ -342,6 +349,25 @@ class ModelSource:
             joints=moved_joints(self.model),
         )
 
+    def _await(self, match: Match, kinds: tuple[str, ...], from_ns: int) -> None:
+        """Compare what comes late from a stamp on: before, it shows what was before the rollout."""
+        for place, one in enumerate(match.sensed):
+            name, kind = one.sensors[0].name, one.sensors[0].kind
+            if kind not in kinds:
+                continue
+            if kind.startswith("frame") and free_joint(self.model, name) is not None:
+                raise UsageError(
+                    f"--tune delay/poses: they tell where body {short_name(name)} begins, and when",
+                    "tune delay/commands in its place",
+                )
+            cut = _cut(one, from_ns, int(one.signal.stamps_ns[-1]))
+            if cut is None:
+                raise UsageError(
+                    f"{one.signal.name}: is not longer than the delay may be",
+                    "choose a lower range",
+                )
+            match.sensed[place] = cut
+
 
 def _begun(
     model: Any,
@@ -354,13 +380,15 @@ def _begun(
     """Begin a model anew inside a log; None where the log does not show its whole state."""
     part = target.part(from_s, until_s)
     end_ns = part.start_ns + round(part.end_s * 1e9)
+    # What comes late shows at first what was before.
+    start_ns = max(part.start_ns - round(1e9 * simulator.latest_s), simulator.initial.stamp_ns)
     sensed, shown = (
-        [cut for one in some if (cut := _cut(one, part.start_ns, end_ns)) is not None]
-        for some in (simulator.sensed, starts)
+        [cut for one in some if (cut := _cut(one, first_ns, end_ns)) is not None]
+        for some, first_ns in ((simulator.sensed, part.start_ns), (starts, start_ns))
     )
     if not shows_state(model, shown):
         return None
-    state = initial_state(model, shown, part.start_ns)
+    state = initial_state(model, shown, start_ns)
     again = replace(simulator, sensed=tuple(sensed), initial=state, end_ns=end_ns)
     finer = again.finer()
     return Begun(

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tunenet_logs.analysis.sysid.fit import Begun, Column, ComparedColumns, later_part
+from tunenet_logs.analysis.sysid.columns import Column, ComparedColumns
+from tunenet_logs.analysis.sysid.fit import Begun, later_part
 from tunenet_logs.analysis.sysid.horizons import Unseen
 from tunenet_logs.analysis.sysid.source import Connected, Rollouts, seen_at, tuned_first
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal

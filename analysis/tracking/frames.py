@@ -149,6 +149,7 @@ class Pictures:
                     usual = self.size_px = size
                 # A ball is still found to a small part of a pixel.
                 self.scale = max(1, math.ceil(math.sqrt(math.prod(self.size_px) / 480_000)))
+                self.scale = frame.coarse * math.ceil(self.scale / frame.coarse)
                 sizes[size] += 1
                 picture = frame.decode(self.scale) if size == self.size_px else None
             except LogError as error:

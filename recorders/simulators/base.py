@@ -35,6 +35,7 @@ class Parameter:
     prior_sd: float | None = None  # of a measured guess, as a log's initial state is
     # mean and standard deviation of what others of its kind have: a weak prior; None if unknown
     usual: tuple[float, float] | None = None
+    looks: int = 0  # places in the range at which a fit looks, as the cost has many minima
 
     def checked(self, value: float) -> float:
         """Return `value` if it is within bounds."""

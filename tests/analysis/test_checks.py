@@ -43,14 +43,8 @@ from tunenet_logs.analysis.payload.torque_fit import PayloadFit, fit_payload
 from tunenet_logs.analysis.payload.torque_model import arm_motion
 from tunenet_logs.analysis.record import SimulationFit
 from tunenet_logs.analysis.sysid import checks as sysid
-from tunenet_logs.analysis.sysid.fit import (
-    Agreement,
-    Column,
-    ComparedColumns,
-    HeldOut,
-    SimulatorFit,
-    noise_of,
-)
+from tunenet_logs.analysis.sysid.columns import Column, ComparedColumns, noise_of
+from tunenet_logs.analysis.sysid.fit import Agreement, HeldOut, SimulatorFit
 from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode, EpisodeInfo

@@ -6,22 +6,40 @@ import json
 import re
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.analysis.records import drop_record, rejected_record
 from tests.conftest import ROOT, Command, real
 from tunenet_logs.analysis.record import to_json
+from tunenet_logs.analysis.report.figures import signals_drawing
+from tunenet_logs.analysis.report.page import embedded
+from tunenet_logs.analysis.review.drawing import MAX_SIGNALS, ReviewedSignal
 from tunenet_logs.images import decode_image
 
 LOGS = ("filmed", "light", "payload")
 MAX_BYTES = 3_000_000
 CHROMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 WIDTHS = {"desktop": (1280, 720), "phone": (390, 844)}  # of a window [px]: width and height
+
+
+INJECTED = (
+    "<script>alert(1)</script>",
+    '"><img src=http://127.0.0.1:9/x onerror=alert(2)>',
+    "{{ 7 * 7 }}{% raw %}",
+    "</style></title><svg onload=alert(3)>",
+    "javascript:alert(4)",
+    "$\\frac{1}{$ _x^ \\input{/etc/passwd}",
+    "]]>--><!--<iframe src='file:///etc/passwd'>",
+    "\u202egnp.exe\u0000\x1b[31m\ud800",
+    "&lt;b&gt;&#x3c;script&#x3e;",
+    "W" * 5000,
+)
 
 
 @dataclass(frozen=True)
@@ -207,6 +225,101 @@ def test_without_the_review_the_page_says_what_is_missing(
         shutil.copy(tuned / "light.rrd", path.with_suffix(".rrd"))
 
 
+MODELS = ROOT / "sample_logs" / "models"
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory, command: Command) -> Path:
+    """The JSON of a tuned arm, beside its review."""
+    folder = tmp_path_factory.mktemp("model")
+    tuned = ("--model", MODELS / "arm.xml", "--tune", MODELS / "arm.yaml")
+    done = command("tunenet-tune", MODELS / "arm.mcap", *tuned, "-o", folder, "--quiet")
+    assert done.returncode == 0, done.stderr
+    return folder / "arm.json"
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_model_shows_its_signals_beside_the_log(
+    browser: Any, model: Path, command: Command, width: str
+):
+    page, table = model.with_suffix(".html"), model.with_suffix(".csv")
+    written(command, model, "-o", page, "--csv", table)
+    text = opened(browser, page, width, IMAGES_ARE_DRAWN).text
+    assert "Observed and simulated" in text
+    assert "No two values hang together" in text
+    assert "are not drawn" not in text
+    # They jump with each command: what is faster than the motion is no noise of a sensor.
+    jumpy = re.search(r"as fast as noise: (.*)\.", text)
+    assert jumpy is not None
+    assert {"effort shoulder", "effort elbow"} <= set(jumpy[1].split(", "))
+    assert "position" not in jumpy[1]
+    curves, known = pd.read_csv(table, comment="#"), json.loads(model.read_text())
+    for gap in known["gaps"]:
+        name = gap["signal"].partition(".")[2].replace(" ", "_")
+        unit = {"rad": "rad", "rad/s": "rad_per_s", "N·m": "nm"}[gap["unit"]]
+        off = [
+            curves[f"{name}_{of}_{unit}"] - curves[f"{name}_observed_{unit}"]
+            for of in ("given", "tuned")
+        ]
+        assert gap["rms"] == pytest.approx([np.sqrt(np.mean(one**2)) for one in off], rel=1e-6)
+
+
+def test_a_model_without_its_review_says_so(model: Path, tmp_path: Path, command: Command):
+    alone = Path(shutil.copy(model, tmp_path))
+    page = written(command, alone, "-o", tmp_path / "page.html")
+    assert "No curves of signals: the JSON holds none, and arm.rrd is not beside" in page
+
+
+def test_a_tuning_in_place_of_a_log_is_known(model: Path, command: Command):
+    for code, place in ((2, ()), (1, ("-o", model.parent / "other"))):
+        done = command("tunenet-tune", model, "--model", MODELS / "arm.xml", *place)
+        assert done.returncode == code
+        assert "arm.json: is a tuning that tunenet-tune wrote; name the log it is" in done.stderr
+        assert "or give it to tunenet-export or tunenet-report" in done.stderr
+
+
+def made_signal(number: int, **changed: Any) -> ReviewedSignal:
+    """Ten seconds of a sine; as given it runs off."""
+    seconds = np.arange(0.0, 10.0, 0.01)
+    observed = np.sin((1 + number) * seconds)
+    curves = {"given": np.exp(5 * seconds), "tuned": observed + 0.01, "predicted": observed - 0.02}
+    made = ReviewedSignal(f"position j{number}", "rad", seconds, observed, curves, 0.01, 6.0)
+    return replace(made, **changed)
+
+
+def test_many_signals_stay_readable_and_those_left_out_are_counted():
+    drawing = signals_drawing([made_signal(number) for number in range(MAX_SIGNALS)], 7)
+    assert drawing is not None
+    assert "7 more, of which less is left, are not drawn." in drawing.caption
+    charts = [axes for axes in drawing.figure.axes if axes.axison]
+    assert len(charts) == 2 * MAX_SIGNALS
+    _, height_in = drawing.figure.get_size_inches()
+    assert height_in > 0.8 * MAX_SIGNALS
+    overlay, residual = charts[0], charts[2]
+    assert np.abs(overlay.get_ylim()).max() < 2.5, "what is given runs off"
+    assert np.abs(residual.get_ylim()) == pytest.approx([0.026, 0.026])
+    (band,) = [one for one in residual.patches if one.get_alpha() is None]
+    assert band.get_extents().transformed(residual.transData.inverted()).intervaly == pytest.approx(
+        [-0.02, 0.02]
+    )
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"noise": np.nan, "held_out_s": np.nan},
+        {"curves": {}},
+        {"curves": {"given": np.full(1000, np.nan), "closest": np.full(1000, np.nan)}},
+        {"curves": {"strange": np.zeros(1000)}, "name": INJECTED[5], "unit": INJECTED[0]},
+        {"observed": np.full(1000, 1e300)},
+    ],
+)
+def test_signals_that_no_review_of_ours_has(changed: dict[str, Any]):
+    drawing = signals_drawing([made_signal(0, **changed)], 0)
+    assert drawing is not None
+    assert embedded(drawing).startswith("data:image/svg+xml")
+
+
 SPOILT: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda _: b"",
     "noise": lambda _: bytes(range(256)) * 40,
@@ -267,19 +380,6 @@ def test_logs_that_others_made_have_a_page(
 
 # ---- What a stranger wrote into a tuning
 
-
-INJECTED = (
-    "<script>alert(1)</script>",
-    '"><img src=http://127.0.0.1:9/x onerror=alert(2)>',
-    "{{ 7 * 7 }}{% raw %}",
-    "</style></title><svg onload=alert(3)>",
-    "javascript:alert(4)",
-    "$\\frac{1}{$ _x^ \\input{/etc/passwd}",
-    "]]>--><!--<iframe src='file:///etc/passwd'>",
-    "\u202egnp.exe\u0000\x1b[31m\ud800",
-    "&lt;b&gt;&#x3c;script&#x3e;",
-    "W" * 5000,
-)
 
 NOTHING_FOREIGN = (
     "!document.querySelector('script, iframe, object, embed, svg, form, base, [onerror], [onload]')"

@@ -30,7 +30,13 @@ from tests.picture_strangers import (
 from tunenet_logs import messages
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError, TuneNetError
-from tunenet_logs.images import MAX_PIXELS, decode_image, image_format, image_size
+from tunenet_logs.images import (
+    MAX_PIXELS,
+    decode_image,
+    image_format,
+    image_size,
+    mean_of_blocks,
+)
 from tunenet_logs.reader import read_episode
 from tunenet_logs.video import CODECS, Packet, decoded, decoded_frame
 
@@ -379,3 +385,28 @@ def test_pixels_that_alternate_stand_for_their_mean_and_are_written_as_seen():
     later = replace(frame, stamp_ns=9)
     assert np.array_equal(later.decode(), frame.decode())
     assert messages.compressed(later).stamp_ns == 9
+
+
+def blobs(width: int, height: int) -> bytes:
+    """A JPEG of soft blobs."""
+    coarse = np.random.default_rng(0).integers(0, 255, (height // 99, width // 99, 3), np.uint8)
+    return cv2.imencode(".jpg", cv2.resize(coarse, (width, height)))[1].tobytes()
+
+
+@pytest.mark.parametrize("size", [(3840, 2160), (4032, 3024)], ids=["4K", "12 megapixels"])
+def test_pictures_of_usual_sizes_are_the_mean_of_their_blocks(size: tuple[int, int]):
+    frame = Frame(0, "jpeg", blobs(*size))
+    assert frame.coarse == 1
+    assert (frame.decode(8) == mean_of_blocks(decode_image(frame.data, "jpeg"), 8)).all()
+
+
+@pytest.mark.parametrize("size", [(4501, 3003), (4800, 3607)])
+def test_a_large_jpeg_is_reduced_while_it_is_decoded(size: tuple[int, int]):
+    frame = Frame(0, "jpeg", blobs(*size))
+    assert frame.coarse == 4
+    for scale in (4, 12):
+        expected = mean_of_blocks(decode_image(frame.data, "jpeg"), scale).astype(int)
+        found = frame.decode(scale)
+        assert found.shape == (size[1] // scale, size[0] // scale, 3) == expected.shape
+        assert np.abs(found - expected).max() <= 4
+    assert frame.decode().shape == (size[1], size[0], 3)

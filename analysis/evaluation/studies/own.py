@@ -23,7 +23,9 @@ from tunenet_logs.analysis.export.model import posterior_sample
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece
 from tunenet_logs.analysis.sysid.checks import excitation, partners_of
-from tunenet_logs.analysis.sysid.fit import SimulatorFit, noises_of, ranges_of
+from tunenet_logs.analysis.sysid.columns import noises_of
+from tunenet_logs.analysis.sysid.fit import SimulatorFit
+from tunenet_logs.analysis.sysid.least_squares import ranges_of
 from tunenet_logs.analysis.sysid.matching import rotations
 from tunenet_logs.analysis.sysid.source import Connected, ModelSource, part_of, tuned_first
 from tunenet_logs.analysis.tuning import tune_episode

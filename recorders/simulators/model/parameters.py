@@ -134,9 +134,17 @@ _SLIDING_UNITS = {"N·m·s/rad": "N·s/m", "N·m": "N", "kg·m²": "kg", "N·m/r
 
 # ---- Addresses: found in a model, and set there
 
-# The delay from a command to its effect: the simulator's parameter, not the model's.
+# The delay from a command to its effect, and by address those of what some sensors measure against
+# the joints' positions: the simulator's parameters, not the model's.
 DELAY = "delay/commands"
+DELAYED: Mapping[str, tuple[str, ...]] = {
+    "delay/efforts": ("jointactuatorfrc",),
+    "delay/poses": ("framepos", "framexaxis", "framezaxis"),
+    "delay/wrenches": ("force", "torque"),
+}
 _DELAY = ModelField("", "s", usual=(0.0, 0.2), within={0: (0.0, 1.0)})
+_LOOKS = 201  # at a delay of a sensor: a millisecond apart in the usual range
+_LATE = replace(_DELAY, within={0: (-1.0, 1.0)})  # where the joints are late, it is early
 
 _ADDRESS = re.compile(
     r"(?P<kind>[a-z]+)(?:/(?P<name>.+))?\.(?P<field>[a-z_]+)(?:\[(?P<index>\d{1,9})\])?", re.DOTALL
@@ -166,7 +174,8 @@ class ModelParameter:
         """Whether it is of a sensor, and nothing of the model."""
         kind = self.owner.partition("/")[0]
         known = FIELDS.get(kind, {}).get(self.field)
-        return kind != "servo" and known is not None and not known.array
+        is_added = kind != "servo" and known is not None and not known.array
+        return is_added or self.owner in DELAYED
 
 
 def model_parameters(model: Any, wanted: Iterable[str]) -> tuple[ModelParameter, ...]:
@@ -272,12 +281,13 @@ def _parsed_parameter(model: Any, text: str) -> ModelParameter:
     address = match["address"].strip()
     if address.partition("/")[0] == "servo":
         return _servo_parameter(model, text, match, address)
-    if address == DELAY:
-        delay = _parameter(text, match, DELAY, _DELAY, 0, 0.1)
-        middle = sum(delay.training_range) / 2
-        return ModelParameter(
-            replace(delay, initial=middle), lambda _model, _value: None, "delay", DELAY
-        )
+    if address == DELAY or address in DELAYED:
+        delay = _parameter(text, match, address, _LATE if address in DELAYED else _DELAY, 0, 0.0)
+        if address == DELAY:
+            delay = replace(delay, initial=sum(delay.training_range) / 2)
+        else:  # efforts jump with each command, so that a command later they look alike
+            delay = replace(delay, looks=_LOOKS)
+        return ModelParameter(delay, lambda _model, _value: None, "delay", address)
     parts = _ADDRESS.fullmatch(address)
     if parts is None and _NO_RANGE.fullmatch(address):
         raise UsageError(f"--tune {short_name(text)}: the range is no LOW:HIGH", "such as =0:5")
@@ -286,7 +296,7 @@ def _parsed_parameter(model: Any, text: str) -> ModelParameter:
         raise UsageError(
             f"--tune {short_name(text)} names no parameter",
             f"write KIND/NAME.FIELD with one of {kinds}, such as joint/elbow.damping=0:5, or "
-            f"{DELAY}",
+            f"{listed([DELAY, *DELAYED])}",
         )
     kind, field_name = parts["kind"], parts["field"]
     if field_name not in FIELDS[kind]:

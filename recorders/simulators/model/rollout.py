@@ -20,7 +20,12 @@ from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.recorders.simulators.base import Parameter
 from tunenet_logs.recorders.simulators.known import named_version
 from tunenet_logs.recorders.simulators.model.child import put_array
-from tunenet_logs.recorders.simulators.model.parameters import DELAY, TUNED_ARRAYS, ModelParameter
+from tunenet_logs.recorders.simulators.model.parameters import (
+    DELAY,
+    DELAYED,
+    TUNED_ARRAYS,
+    ModelParameter,
+)
 from tunenet_logs.recorders.simulators.model.reading import ModelProcess
 from tunenet_logs.recorders.simulators.model.servo import put_table, servos
 from tunenet_logs.recorders.simulators.mujoco import mujoco
@@ -334,6 +339,12 @@ class ModelSimulator:
         """Tuned parameters, and uncertain ones of the initial state."""
         return (*(one.parameter for one in self.tuned), *self.initial.unsure)
 
+    @property
+    def latest_s(self) -> float:
+        """Longest delay of a sensor that is looked for."""
+        late = (one.parameter for one in self.tuned if one.owner in DELAYED)
+        return max((0.0, *(one.training_range[1] for one in late)))
+
     def finer(self) -> ModelSimulator:
         """Copy with half the step, to measure the discretisation error."""
         half = replace(self, step_s=self._step_s / 2)
@@ -353,18 +364,27 @@ class ModelSimulator:
         return found
 
     def rollouts(self, values: Array) -> list[Episode]:
-        """Roll out N episodes at values (N, P), on all cores; NaN from where MuJoCo stops one."""
+        """Roll out N episodes at values (N, P), on all cores; NaN from where MuJoCo stops one.
+
+        Rows that differ in what sensors add are one rollout.
+        """
+        own = [not one.is_of_sensor for one in self.tuned]
+        own += [True] * len(self.initial.unsure)
+        moving = np.column_stack([np.zeros(len(values)), values[:, own]])
+        _, rows, which = np.unique(moving, axis=0, return_index=True, return_inverse=True)
         # At most 64 at once, and 50 MB of sensor values.
         each_bytes = 8 * self._steps * (self._model.nsensordata + len(self._driven))
         count = int(np.clip(50_000_000 // each_bytes, 1, 64))
-        found: list[Episode] = []
-        for first in range(0, len(values), count):
-            batch = values[first : first + count]
-            kept, why, arrays = self._rolled(batch)
-            for seen, row, steps, stop in zip(arrays["sensed"], batch, kept, why, strict=True):
+        found: dict[int, Episode] = {}
+        for first in range(0, len(rows), count):
+            kept, why, arrays = self._rolled(values[rows[first : first + count]])
+            for place, (seen, steps, stop) in enumerate(
+                zip(arrays["sensed"], kept, why, strict=True), first
+            ):
                 words = _stop_in_words(stop, steps * self._step_s)
-                found.append(self._episode(seen, row, words))
-        return found
+                for number in np.flatnonzero(which.ravel() == place).tolist():
+                    found[number] = self._episode(seen, values[number], words)
+        return [found[number] for number in range(len(values))]
 
     def coordinates(self, values: Array) -> tuple[Array, Array]:
         """Roll out at values (P,); return seconds (T,) and qpos (T, nq) while it goes on."""
@@ -513,7 +533,7 @@ class ModelSimulator:
         """Return gain and offset of each sensor that has tuned ones."""
         found: dict[Sensor, tuple[float, float]] = {}
         for one, value in zip(self.tuned, row.tolist(), strict=False):
-            if not one.is_of_sensor:
+            if not one.is_of_sensor or one.owner in DELAYED:
                 continue
             kind, _, name = one.owner.partition("/")
             quantity, _, part = one.field.partition("_")
@@ -530,7 +550,8 @@ class ModelSimulator:
         step_s = self._step_s
         at_s = step_s * np.arange(self._steps)  # sensors see the state that a step begins with
         offsets = {self._model.joint(joint).name: row[place] for place, _, joint in self._zeros}
-        measured = self._measured(row)
+        measured, delays = self._measured(row), zip(self.tuned, row.tolist(), strict=False)
+        delayed = {kind: value for one, value in delays for kind in DELAYED.get(one.owner, ())}
         signals: dict[str, Signal] = {}
         for sensed in self.sensed:
             wanted_s = (sensed.signal.stamps_ns - self.initial.stamp_ns) * 1e-9
@@ -542,8 +563,9 @@ class ModelSimulator:
                 if sensor.kind == "jointpos":
                     track = track - offsets.get(sensor.name, 0.0)
                 track = gain * track + offset
-                late_s = step_s / 2 if sensor.kind == "jointvel" and self._is_late else 0.0
-                values[:, place] = np.interp(wanted_s, at_s - late_s, track, right=np.nan)
+                late_s = delayed.get(sensor.kind, 0.0)
+                late_s -= step_s / 2 if sensor.kind == "jointvel" and self._is_late else 0.0
+                values[:, place] = np.interp(wanted_s - late_s, at_s, track, right=np.nan)
             name, stamps_ns, unit = sensed.signal.name, sensed.signal.stamps_ns, sensed.signal.unit
             signals[name] = Signal(name, stamps_ns, values, sensed.columns, unit)
         names = [one.name for one in self.parameters]

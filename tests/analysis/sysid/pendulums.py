@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from tunenet_logs.analysis.sysid.fit import Column, ComparedColumns, Run, noise_of
+from tunenet_logs.analysis.sysid.columns import Column, ComparedColumns, noise_of
+from tunenet_logs.analysis.sysid.least_squares import Run
 from tunenet_logs.analysis.sysid.source import ModelSource
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.recorders.simulators.base import Parameter

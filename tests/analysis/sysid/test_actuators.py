@@ -10,7 +10,8 @@ import tunenet_logs as tn
 from tunenet_logs.analysis.evaluation.worlds.machines import ModelLog
 from tunenet_logs.analysis.evaluation.worlds.servos import NAME, servo_log, slow_servo_log
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.sysid.fit import SimulatorFit, correlation_length
+from tunenet_logs.analysis.sysid.fit import SimulatorFit
+from tunenet_logs.analysis.sysid.least_squares import correlation_length
 
 
 def tuned(log: ModelLog, folder: Path) -> Tuning:

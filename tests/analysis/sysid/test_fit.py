@@ -11,12 +11,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import t
 
 from tests.analysis.sysid.pendulums import SECONDS, Shape, line, parameter, run_of, target_of
-from tunenet_logs.analysis.sysid.fit import (
-    RolloutLeastSquares,
-    Solution,
-    compared,
-    covariance,
-)
+from tunenet_logs.analysis.sysid.columns import compared
+from tunenet_logs.analysis.sysid.least_squares import RolloutLeastSquares, Solution, covariance
 from tunenet_logs.analysis.sysid.source import Samples, beginning, initial_turn
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.recorders.simulators.model.rollout import SensedSignal

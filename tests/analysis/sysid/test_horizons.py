@@ -13,7 +13,8 @@ import tunenet_logs as tn
 from tests.analysis.sysid.pendulums import START_NS
 from tunenet_logs.analysis.evaluation.worlds.machines import MACHINES
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.sysid.fit import HeldOut, compared
+from tunenet_logs.analysis.sysid.columns import compared
+from tunenet_logs.analysis.sysid.fit import HeldOut
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 
 PREDICTS = "predicts what it was not fitted to"

@@ -151,10 +151,38 @@ def test_an_object_has_no_scene(tmp_path: Path):
 def test_many_columns_have_a_tab_of_their_own_and_a_bound(tmp_path: Path):
     tuning = Cart(columns=19).tuned()
     data = simulator_review_data(tuning)
-    assert (len(data.main), len(data.columns), data.left_out) == (4, 16, 3)
+    assert (len(data.main), len(data.columns), len(data.every)) == (4, 16, 19)
     varying = [one.observed.std() / one.noise for one in data.columns]
     assert varying == sorted(varying, reverse=True)
-    assert tabs(reviewed(tuning, tmp_path))[1] == "other signals, 3 more are not drawn"
+    review = reviewed(tuning, tmp_path)
+    assert tabs(review)[1] == "other signals, 3 more are not drawn"
+    assert sum(one.startswith("/compared/") for one in review.entities) == 12
+
+
+def test_pages_get_what_was_compared_the_worst_first(tuned: Tuning, review: Stored):
+    assert tuned.trace is not None
+    assert tuned.trace.fit is not None
+    fit = tuned.trace.fit.detail
+    position = fit.target.which == 0
+    (entity,) = [
+        name
+        for name, known in review.entities.items()
+        if name.startswith("/compared/")
+        and [cell.as_py() for cell in known["name"].static] == [["position hinge"]]
+    ]
+    seconds, curves = review.series(entity)
+    observed, given, simulated, predicted = curves.T
+    assert seconds == pytest.approx(np.arange(0.0, 4.0, 0.01), abs=1e-6)
+    assert observed == pytest.approx(fit.target.values[position])
+    assert given == pytest.approx(fit.first[position])
+    assert simulated == pytest.approx(fit.simulated[position])
+    later = seconds >= 2.4
+    assert np.isfinite(predicted[later]).all()
+    assert np.isnan(predicted[~later]).all()
+    assert np.abs(predicted[later] - swing(seconds[later])[:, 0]).max() < 0.01
+    about = {key: review.entities[entity][key].static[0].as_py() for key in ("noise", "held_out_s")}
+    assert about["noise"] == [pytest.approx(0.01, rel=0.1)]
+    assert about["held_out_s"] == [pytest.approx(2.4, abs=0.011)]
 
 
 @pytest.mark.parametrize("breaks_s", [3.0, -1.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +54,7 @@ def swung(seconds: Array) -> Array:
 
 
 @pytest.fixture(scope="module")
-def log() -> Episode:
+def tracked() -> Episode:
     """The arm's log by a loop of MuJoCo's own, with noise and with what its sensors add."""
     model = mujoco().MjModel.from_xml_string(arm(MASS_KG))
     model.opt.timestep = STEP_S
@@ -64,7 +65,8 @@ def log() -> Episode:
         data.ctrl[:] = swung(np.array([step // every * every * STEP_S]))[0]
         if step % every == every // 2:  # between two commands, at which efforts jump
             mujoco().mj_forward(model, data)
-            rows.append(np.concatenate([data.qpos, data.qfrc_actuator, data.sensordata]))
+            tool_m = data.body("tool").xpos
+            rows.append(np.concatenate([data.qpos, data.qfrc_actuator, data.sensordata, tool_m]))
         mujoco().mj_step(model, data)
     seen = np.array(rows)
     seen[:, 2] = GAIN * seen[:, 2] + BIAS_NM
@@ -81,8 +83,16 @@ def log() -> Episode:
         Signal("/joint_commands.position", told_ns, swung(seconds), joints, "rad"),
         Signal("/ft.force", stamps_ns, seen[:, 4:7], ("x", "y", "z"), "N", frame="wrist"),
         Signal("/ft.torque", stamps_ns, seen[:, 7:10], ("x", "y", "z"), "N·m", frame="wrist"),
+        Signal("/mocap/tool", stamps_ns, seen[:, 10:], ("x", "y", "z"), "m"),
     ]
     return Episode(EpisodeInfo(), {one.name: one for one in signals})
+
+
+@pytest.fixture(scope="module")
+def log(tracked: Episode) -> Episode:
+    """The same without the tool's place."""
+    seen = {name: one for name, one in tracked.signals.items() if name != "/mocap/tool"}
+    return Episode(EpisodeInfo(), seen)
 
 
 @pytest.fixture
@@ -139,3 +149,69 @@ def test_what_no_sensor_measures_cannot_be_told(log: Episode, model: Path):
 def test_an_offset_needs_its_axis(log: Episode, model: Path):
     with pytest.raises(UsageError, match=r"force_offset has 3 numbers.*force_offset\[0\]"):
         tn.tune(log, model=model, parameters=["site/wrist.force_offset"])
+
+
+OFFSETS = [f"site/wrist.{of}_offset[{axis}]" for of in ("force", "torque") for axis in range(3)]
+ADDED = ("body/tool.mass=.1:1", *OFFSETS, "joint/pan.effort_gain", "joint/pan.effort_offset")
+
+
+STATES, EFFORTS = "/joint_states.position", "/joint_states.effort"
+COMMANDS, WRENCH, TOOL = "/joint_commands.position", "/ft", "/mocap/tool"
+
+
+def late(log: Episode, by_s: Mapping[str, float]) -> Episode:
+    """A log whose signals that begin so have later stamps; no others."""
+    return Episode(
+        EpisodeInfo(),
+        {
+            name: replace(one, stamps_ns=one.stamps_ns + round(1e9 * later_s))
+            for name, one in log.signals.items()
+            for begin, later_s in by_s.items()
+            if name.startswith(begin)
+        },
+    )
+
+
+@pytest.mark.parametrize(
+    ("begin", "kind", "by_s"), [(WRENCH, "wrenches", 0.1374), (TOOL, "poses", 0.0263)]
+)
+def test_a_sensor_is_late_and_commands_are_too(
+    tracked: Episode, model: Path, begin: str, kind: str, by_s: float
+):
+    """Commands 21.2 ms before their effect, efforts 12.3 ms after theirs."""
+    seen = late(tracked, {COMMANDS: -0.0212, STATES: 0.0, EFFORTS: 0.0123, begin: by_s})
+    truth = {"delay/commands": 0.0212, "delay/efforts": 0.0123, f"delay/{kind}": by_s}
+    added = ADDED if kind == "wrenches" else [one for one in ADDED if "offset[" not in one]
+    values = found(seen, model, *added, *truth)
+    for name, expected in truth.items():
+        value, low, high = values[name]
+        assert value == pytest.approx(expected, abs=1e-3), name
+        assert low <= expected <= high, name
+
+
+def test_a_sensor_may_be_early(tracked: Episode, model: Path):
+    seen = late(tracked, {COMMANDS: 0.0, STATES: 0.0, TOOL: -0.0263})
+    values = found(seen, model, "joint/pan.damping", "delay/poses=-.1:.1")
+    value, low, high = values["delay/poses"]
+    assert value == pytest.approx(-0.0263, abs=1e-3)
+    assert low <= -0.0263 <= high
+
+
+def test_without_positions_delays_are_told_only_together(tracked: Episode, model: Path):
+    seen = late(tracked, {COMMANDS: 0.0, WRENCH: 0.0374})
+    wanted = [*ADDED[:7], "delay/wrenches", "delay/commands"]
+    tuning = tn.tune(seen, model=model, parameters=wanted)
+    [check] = [one for one in tuning.checks if one.name == "every parameter is identifiable"]
+    assert not check.passed
+    assert "delay/wrenches (only together with delay/commands)" in check.detail
+
+
+def test_when_a_free_body_begins_its_poses_tell(tmp_path: Path):
+    path = tmp_path / "ball.xml"
+    ball = '<body name="ball"><freejoint/><geom size=".1"/></body>'
+    path.write_text(f"<mujoco><worldbody>{ball}</worldbody></mujoco>")
+    stamps_ns = 10**18 + 10_000_000 * np.arange(100)
+    places = np.random.default_rng(0).normal(size=(100, 3))
+    seen = Signal("/mocap/ball", stamps_ns, places, ("x", "y", "z"), "m")
+    with pytest.raises(UsageError, match="they tell where body ball begins"):
+        tn.tune(Episode(EpisodeInfo(), {seen.name: seen}), model=path, parameters=["delay/poses"])

@@ -144,6 +144,9 @@ def read_json_lines(path: Path, options: ReadOptions) -> Episode:
     return _read_records(path, chain(first, values), first, options, losses)
 
 
+TUNINGS_USE = "name the log it is of, or give it to tunenet-export or tunenet-report"
+
+
 def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -> Episode:
     """Read one object: a list of records, or one list per column; note what else it states."""
     episode = _rows_of_document(path, document, options)
@@ -158,7 +161,7 @@ def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -
 
 def _rows_of_document(path: Path, document: dict[str, Any], options: ReadOptions) -> Episode:
     if {"task", "verdict", "provenance"} <= document.keys():
-        raise LogError(f"{path}: is a tuning that tunenet-tune wrote", "name the log it is of")
+        raise LogError(f"{path}: is a tuning that tunenet-tune wrote", TUNINGS_USE)
     for value in document.values():
         if rows := _rows_of_motions(value):
             return _read_records(
