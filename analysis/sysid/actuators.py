@@ -41,9 +41,8 @@ _GROUPS: tuple[tuple[str, ...], ...] = (
 )
 _NEEDS = {"stribeck_load": "load_friction"}  # what has to be there before
 _BRAKE = ("back_emf",)
-_TRIED = 2  # groups that are fitted in a round, the most promising first
+_TRIED = 3  # groups that are fitted in a round, the most promising first
 _SMALL_START = 0.3  # sd of what is usual, from which a term begins that is 0 as a rule
-_WORTH = 2.0  # of each parameter: what its group has to promise, beside noise that is 1
 _SURE = 2.0  # standard deviations from where it is not there, beyond which a term stays
 
 
@@ -255,7 +254,7 @@ def choose(connected: Connected, source: ModelSource) -> Choice:
         ready = [
             one
             for one in rest
-            if promised[one] > _WORTH * len(one) and (_NEEDS.get(one[0], ""),) not in rest
+            if promised[one] > len(one) and (_NEEDS.get(one[0], ""),) not in rest
         ]
         for group in sorted(ready, key=lambda one: -promised[one])[:_TRIED]:
             start = now.values.copy()
