@@ -157,7 +157,7 @@ SYSID = table(
     ),
     CheckSpec(
         "the step is short enough",
-        at_most(2, "% of its range"),
+        at_most(2, "% of its range", ".2g"),
         seen="half the step moves {name} by {shift:.2g}, {value} % of its range",
         wanted="wanted: under {limit} %",
         measures="how far half the model's step moves each value",
