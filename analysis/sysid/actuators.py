@@ -150,7 +150,9 @@ class _Selection:
         parameters = tuple(self.parameters[place] for place in own)
         connected = self.connected
         reach = reach_of(parameters, connected.target, connected.logs, connected.joints)
-        steps = RolloutLeastSquares(run, connected.target, parameters, reach=reach, is_rough=True)
+        steps = RolloutLeastSquares(
+            run, connected.target, parameters, reach=reach, is_approximate=True
+        )
         solution = steps.solve(values[own])
         found = values.copy()
         found[own] = solution.values

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from tunenet_logs.analysis.statistics import surer_noise_of
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.errors import NotFoundError
 
@@ -187,11 +188,9 @@ def noise_of(values: Array) -> float:
     """
     if len(values) < 5:
         return 0.0
-    # Third differences have 1 + 9 + 9 + 1 times the variance of white noise.
-    noise = 1.4826 * float(np.median(np.abs(np.diff(values, 3)))) / np.sqrt(20.0)  # of the median
     steps = np.abs(np.diff(np.unique(values)))
     resolution = float(steps.min()) / np.sqrt(12.0) if len(steps) else 0.0
-    return max(noise, resolution)
+    return max(surer_noise_of(values), resolution)
 
 
 def noises_of(target: ComparedColumns, residuals: Array) -> Array:

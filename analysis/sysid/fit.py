@@ -263,7 +263,7 @@ def fit_simulator(
         correlation,
         steps.inflation(solution),
         np.ones(len(which))
-        if shots or _is_good(solution, target)
+        if shots or steps.is_met(solution.residuals)
         else _predictable(steps, solution, which)[1],
         bool(shots),
         is_tried,
@@ -361,18 +361,6 @@ def _walked(steps: RolloutLeastSquares, solution: Solution, cov: Array, tuned: i
     return factors
 
 
-def _is_good(solution: Solution, target: ComparedColumns) -> bool:
-    """Return whether every informative column is met about as well as its noise allows."""
-    left = target.rms(solution.residuals, solution.chosen)
-    every = all(column.is_jumpy for column in target.columns)
-    # A hundredth of a column's spread counts where its noise is less.
-    return all(
-        rms <= max(1.5 * column.noise, 0.01 * column.spread)
-        for rms, column in zip(left, target.columns, strict=True)
-        if every or not column.is_jumpy
-    )
-
-
 def _predictable(
     steps: RolloutLeastSquares, solution: Solution, which: NDArray[np.intp]
 ) -> tuple[Array, Array]:
@@ -405,7 +393,7 @@ def _where_predictable(
             break
         weighed = replace(weighed, counts=counts)
         found = weighed.solve(solution.path[0])
-    return (weighed, found) if _is_good(found, steps.target) else (steps, solution)
+    return (weighed, found) if weighed.is_met(found.residuals) else (steps, solution)
 
 
 def _followed(
@@ -416,23 +404,23 @@ def _followed(
     begins = [one.initial for one in parameters[tuned:]]
     solution = _looked(steps, steps.solve(np.concatenate([start, begins])))
     shots: Shots = ()
-    if not _is_good(solution, target) and anew is not None:
+    if not steps.is_met(solution.residuals) and anew is not None:
         spreads = [max(one.spread, 1e-12) if one.is_place else np.inf for one in target.columns]
         left = steps.left(solution.residuals) / spreads
         grows = _predictable(steps, solution, which)[1].min() < (GROWTH / GROWN) ** 2
         if grows or np.any(left > _LOST):
             shots = anew(solution.values[:tuned]) or anew(start)
     if not shots:
-        if not _is_good(solution, target):
+        if not steps.is_met(solution.residuals):
             steps, solution = _where_predictable(steps, solution, which)
         steps, solution = _loosened(steps, solution)
-        if not _is_good(solution, target):
+        if not steps.is_met(solution.residuals):
             solution = _from_elsewhere(steps, solution, tuned)
         return steps, solution, shots
     steps = _shooting(shots, target, parameters[:tuned])
     begins = [one.initial for one in steps.parameters[tuned:]]
     solution = steps.solve(np.concatenate([start, begins]))
-    if len(shots) <= _FEW_SHOTS and not _is_good(solution, target):
+    if len(shots) <= _FEW_SHOTS and not steps.is_met(solution.residuals):
         solution = _from_elsewhere(steps, solution, tuned, is_rough=True)
     steps, solution = _loosened(steps, solution)
     return steps, solution, shots
@@ -548,7 +536,7 @@ def _from_elsewhere(
         if steps.unlikely(other) < likeliest:
             least, likeliest = min(least, cost), steps.unlikely(other)
             solution = replace(other, path=(*solution.path[:1], *other.path))
-        if _is_good(solution, steps.target):
+        if steps.is_met(solution.residuals):
             break
     return solution
 

@@ -18,6 +18,8 @@ from tunenet_logs.analysis.sysid.columns import ComparedColumns
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulators.base import Parameter
 
+_ROUGH = 0.3  # of how far a step moves what is seen: it bends by more where it is rough
+
 # ---- Finite differences of rollouts: slopes, second differences, and the cost's minimum
 
 
@@ -47,6 +49,14 @@ class Differences:
             return np.zeros_like(self.beside)
         bends = self.beside + self.behind - 2 * self.residuals
         return np.where(self.back[:, None] != 0, bends, 0.0)
+
+    @property
+    def is_rough(self) -> bool:
+        """Whether steps to both sides bend what is seen, or may: of one side it is not known."""
+        if self.back is None:
+            return True
+        moved = np.linalg.norm(self.slopes * self.moved, axis=0)
+        return bool(np.any(np.linalg.norm(self.bends, axis=1) > _ROUGH * moved))
 
     def lowest(self, cost: Callable[[Array, Array], float], least: float) -> Array | None:
         """Minimise the cost along one parameter by a parabola through three rollouts, shape (P,).
@@ -87,7 +97,7 @@ class Reach:
     mostly: NDArray[np.bool_]  # others little, as a servo does other joints, shape (P, M)
 
     @cached_property
-    def is_rough(self) -> bool:
+    def is_approximate(self) -> bool:
         """Whether what is mostly moved is less than all."""
         return not np.array_equal(self.only, self.mostly)
 
@@ -135,6 +145,8 @@ Run = Callable[[Array], Array]
 _FIRST_DAMPING = 1e-4
 _DAMPING = Damping(tries=7, raised_by=10, lowered_by=30, least=1e-7, raised_from=1e-3)
 _NO_GAIN = 0.05  # of the cost: a step that lowers it by less is the last
+# Where no step lowers a rough cost, it is looked at from farther off: by how much, at most.
+_WIDER, _WIDEST = 4.0, 16.0
 _AMISS = 0.2  # of the gain that slopes promise: with more error they are differenced anew
 CONTRADICTS = 4.0  # of the cost, twice a log likelihood: two standard deviations
 
@@ -198,7 +210,7 @@ class RolloutLeastSquares:
     fitted: NDArray[np.bool_] | None = None  # which values it is fitted to, shape (M,); None: all
     counts: Array | None = None  # how much each value counts, 0 to 1, shape (M,); None: all alike
     reach: Reach | None = None  # which values each parameter moves; None: all
-    is_rough: bool = False  # whether slopes stay those of `Reach.mostly` to the end
+    is_approximate: bool = False  # whether slopes stay those of `Reach.mostly` to the end
 
     def __post_init__(self) -> None:
         self._apart = _groups(self.reach.mostly if self.reach else None, len(self.parameters))
@@ -287,6 +299,17 @@ class RolloutLeastSquares:
         """Return the RMS residual of each column, shape (C,)."""
         return np.maximum(self.target.rms(residuals, self.chosen), self._floor)
 
+    def is_met(self, residuals: Array) -> bool:
+        """Return whether every informative column is met about as well as its noise allows."""
+        columns, left = self.target.columns, self.left(residuals)
+        every = all(column.is_jumpy for column in columns)
+        # A hundredth of a column's spread counts where its noise is less.
+        return all(
+            rms <= max(1.5 * column.noise, 0.01 * column.spread)
+            for rms, column in zip(left, columns, strict=True)
+            if every or not column.is_jumpy
+        )
+
     def _correlation(self, residuals: Array) -> float:
         """Return over how many samples the residuals of a column hang together, at most."""
         columns = range(len(self.target.columns))
@@ -308,7 +331,7 @@ class RolloutLeastSquares:
         """Iterate from values of shape (P,) until steps are small beside the noise."""
         path: list[Array] = []
         values, residuals, noise = self._settled(start, path, is_central=True)
-        if self.reach is not None and not self.is_rough and self.reach.is_rough:
+        if self.reach is not None and not self.is_approximate and self.reach.is_approximate:
             self._apart, self._known = _groups(self.reach.only, len(values)), None
             values, residuals = self._descend(values, residuals, noise, path, is_central=True)
         seen = self._differences(values, residuals, is_central=True)
@@ -366,7 +389,7 @@ class RolloutLeastSquares:
         cost, damping = self.cost(residuals, values, noise), _FIRST_DAMPING
         differences = partial(self._differences, is_central=is_central)
         beside = differences(values, residuals)
-        slopes = beside.slopes
+        slopes, wider = beside.slopes, 1.0
         for _ in range(25):
             normal, slope = self._equations(values, residuals, slopes, noise)
             sd = np.sqrt(np.diag(np.linalg.inv(normal))) * self._scales
@@ -374,26 +397,31 @@ class RolloutLeastSquares:
             seen = np.sqrt(np.diag(normal) / self.chosen.sum()) / self._scales
             # Once it is known, a step changes what is seen by half the noise, rms: contacts and dry
             # friction make rollouts rough where they are looked at more closely.
-            self._steps = np.clip(0.5 / seen, self._least, self._most)
+            self._steps = np.clip(wider * 0.5 / seen, self._least, self._most)
             tried = partial(self._stepped, values, (normal, slope), noise, still)
             is_own = slopes is beside.slopes  # else carried: where they mislead, others are made
             rule = _DAMPING if is_own else replace(_DAMPING, tries=1)
             moved, new, after = damped_step(tried, cost, damping, rule)
             if moved is None and after == damping:  # even the first step is too short
                 break
-            if moved is None and not is_own:
+            if moved is None and is_own:  # slopes over a kink may point uphill
+                # It has to promise that much of the cost.
+                lowest = beside.lowest(partial(self.cost, noise=noise), 2.0)
+                if lowest is not None:
+                    moved, new = self._seen_at(np.clip(lowest, *self._bounds), noise)
+                    moved = moved if new < cost else None
+                after = _DAMPING.lowered(_FIRST_DAMPING)
+            if moved is None:
+                is_end = self.is_approximate or wider >= _WIDEST or not beside.is_rough
+                if is_own and is_end:
+                    break
+                if is_own:
+                    wider *= _WIDER
+                    self._steps = np.clip(_WIDER * self._steps, self._least, self._most)
+                    self._known = None
                 beside = differences(values, residuals)
                 slopes = beside.slopes
                 continue
-            if moved is None:  # slopes over a kink may point uphill
-                # It has to promise that much of the cost.
-                lowest = beside.lowest(partial(self.cost, noise=noise), 2.0)
-                if lowest is None:
-                    break
-                moved, new = self._seen_at(np.clip(lowest, *self._bounds), noise)
-                if new >= cost:
-                    break
-                after = _DAMPING.lowered(_FIRST_DAMPING)
             gain, is_short = cost - new, np.all(np.abs(moved[0] - values) < still)
             carried = None if is_central else self._carried(slopes, values, residuals, moved, noise)
             (values, residuals), cost, damping = moved, new, after
