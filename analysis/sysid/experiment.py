@@ -160,8 +160,10 @@ def trained_network(
 class SimulatorProblem(Problem):
     """See `Problem`; uncertain initial states are fitted, too."""
 
-    def __init__(self, connected: Connected, initial: Array, digest: str) -> None:
-        self._connected = connected
+    def __init__(
+        self, connected: Connected, initial: Array, digest: str, chosen: Array | None = None
+    ) -> None:
+        self._connected, self._chosen = connected, chosen
         simulator, target = connected.simulator, connected.target
         self._all = tuned_first(simulator.parameters)
         self._rest = np.array([one.initial for one in self._all[len(initial) :]])
@@ -254,6 +256,8 @@ class SimulatorProblem(Problem):
 
     def _fit(self, start: Array) -> FitResult:
         connected = self._connected
+        if self._chosen is not None and np.array_equal(start, self.initial):
+            start = self._chosen  # where its terms were chosen
         self.rollouts += connected.spent
         finer, predict = connected.finer, None
         fitted = [self._charged(one) for one in connected.unseen]
@@ -404,10 +408,12 @@ class SimulatorExperiment:
 
     def problem(self, detection: SimulatorDetection, initial: Array) -> Problem:
         """Pose least squares by rollouts; see `Experiment.problem`."""
-        source = detection.source
+        source, chosen = detection.source, None
         if isinstance(source, ModelSource) and source.chosen is not None:  # as the log told
-            initial = np.array([source.chosen[one.name] for one in source.parameters])
-        return SimulatorProblem(detection.connected, initial, source.digest)
+            kept = [one.name in source.chosen for one in self.source.parameters]
+            chosen = np.array([source.chosen[one.name] for one in source.parameters])
+            initial = initial[kept]
+        return SimulatorProblem(detection.connected, initial, source.digest, chosen)
 
     def checks(
         self, detection: SimulatorDetection, last: Step, fit: FitResult | None

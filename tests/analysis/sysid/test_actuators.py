@@ -37,15 +37,18 @@ def test_a_servo_with_a_limit_and_a_delay_is_recovered(tmp_path: Path) -> None:
     assert not any(name.startswith("servo/") for name in values)
     (words,) = [one for one in tuning.warnings if "cannot be told" in one]
     assert all(name in words for name in ("load_friction", "zero", "dead_band"))
+    # The steps begin at what the model says.
+    assert tuning.trace is not None
+    given = [one.initial for one in tuning.parameters]
+    assert tuning.trace.steps[0].values.tolist() == given
     for name, value in values.items():
         slack = 1e-3 if name == "delay/commands" else 0.0
         assert value == pytest.approx(log.truth[name], rel=0.03, abs=slack), name
 
 
 def test_terms_of_which_one_hides_another_are_found(tmp_path: Path) -> None:
-    log = servo_log(
-        71_000_001
-    )  # without its delay an offset is no better, and without that, no delay
+    # Without its delay an offset is no better, and without that, no delay.
+    log = servo_log(71_000_001)
     tuning = tuned(log, tmp_path)
     assert tuning.verdict == "ok", tuning.reason
     values = found(tuning)
