@@ -6,6 +6,7 @@ The words are one fact a line, a table of the channels and a timeline. The JSON 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 
 _MAX_ROWS = 100  # channels that are shown, and warnings; a log of thousands is no reason to scroll
+_MANY = 9  # channels that differ by a number: the first stands for all
 _COLUMNS = 60  # characters of the timeline: with a short topic's name it fits a terminal of 80
 
 
@@ -44,21 +46,36 @@ def describe(path: Path, episode: Episode) -> str:
         lines.append(f"  away: {gaps_in_words(gaps, start_ns or 0)}")
     lines += [f"  warning: {warning}" for warning in episode.warnings[:_MAX_ROWS]]
     lines += _more(len(episode.warnings), "warnings")
-    shown: Sequence[Channel] = episode.channels
-    if len(shown) > _MAX_ROWS:  # those that can be used first
-        shown = sorted(shown, key=lambda channel: channel.skipped is not None)[:_MAX_ROWS]
-    lines += _table(shown) if shown else ["  no channels"]
-    lines += _more(len(episode.channels), "channels")
-    return "\n".join(one_line(line) for line in (*lines, *_timeline(shown)))
+    alike = _alike(episode.channels)
+    if len(alike) > _MAX_ROWS:  # those that can be used first
+        alike.sort(key=lambda some: some[0].skipped is not None)
+    lines += _table(alike[:_MAX_ROWS]) if alike else ["  no channels"]
+    lines += _more(len(alike), "channels")
+    timeline = _timeline([some[0] for some in alike[:_MAX_ROWS]])
+    return "\n".join(one_line(line) for line in (*lines, *timeline))
 
 
 def _more(count: int, what: str) -> list[str]:
     return [f"  and {count - _MAX_ROWS} more {what}"] if count > _MAX_ROWS else []
 
 
-def _table(channels: Sequence[Channel]) -> list[str]:
+def _alike(channels: Sequence[Channel]) -> list[list[Channel]]:
+    """Group channels that differ by a number alone, as a data set's episodes do, if many."""
+    keys = [(re.sub(r"\d+", "#", one.topic), one.type_name, _use_of(one)) for one in channels]
+    groups: dict[tuple[str, str, str], list[Channel]] = {}
+    for key, one in zip(keys, channels, strict=True):
+        groups.setdefault(key, []).append(one)
+    own = ((one, groups[key]) for key, one in zip(keys, channels, strict=True))
+    return [
+        some if len(some) >= _MANY else [one]
+        for one, some in own
+        if len(some) < _MANY or some[0] is one
+    ]
+
+
+def _table(alike: Sequence[Sequence[Channel]]) -> list[str]:
     rows = [("topic", "type", "messages", "rate", "duration", "gaps", "use")]
-    for one in channels:
+    for one, *others in alike:
         gaps, rate_hz = gaps_s(one.log_ns), measured_hz(one.log_ns)
         duration_s = float(np.ptp(one.log_ns)) * 1e-9 if one.messages else 0.0
         rows.append(
@@ -69,7 +86,7 @@ def _table(channels: Sequence[Channel]) -> list[str]:
                 f"{rate_hz:.1f} Hz" if rate_hz else "-",
                 f"{duration_s:.2f} s",
                 f"{len(gaps)} to {gaps.max():.2f} s" if len(gaps) else "-",
-                _use_of(one),
+                _use_of(one) + (f", and {len(others)} more like it" if others else ""),
             )
         )
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]

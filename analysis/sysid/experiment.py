@@ -482,10 +482,21 @@ def print_plan(log: Path, options: TuneOptions) -> None:
         episode = trim_clock_jumps(read_episode(log, options.reading))
     except LogError as error:
         raise LogError(with_joints(str(error), options.source)) from error
-    connected = options.source.connect(part_of(episode, options.start_s, options.end_s))
+    experiment = SimulatorExperiment(options.source, log)
+    runs, held_out = experiment._runs(episode, options)
+    plans = {
+        name: experiment._connected(one, options, said)
+        for name, (said, one) in {**runs, **held_out}.items()
+    }
+    connected = plans[next(iter(runs))]
     print(f"{log}: {connected.target.end_s:.2f} s of {options.source.name}")
     for words in connected.used:
         print(f"  {words}")
+    if others := [*runs][1:]:
+        total_s = sum(plans[name].target.end_s for name in others)
+        print(f"  together with {listed(others, 6)}: {total_s:.2f} s")
+    for name in held_out:
+        print(f"  {name}: {plans[name].target.end_s:.2f} s")
     for words in connected.unused:
         print(f"  not used: {words}")
     for words in connected.doubts:

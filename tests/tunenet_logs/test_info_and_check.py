@@ -23,7 +23,7 @@ from tests.conftest import BIN, ROOT, Command, Made, files_no_larger_than, real,
 from tests.strangers import Stranger, without_chunks, write_poses, write_poses_bag
 from tunenet_logs.copying import check, import_log, recover
 from tunenet_logs.describe import describe
-from tunenet_logs.episode import EpisodeInfo, Frame, Signal
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Signal
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.files import csv_line, json_line, text_of
 from tunenet_logs.formats.base import Loss, Record, one_by_one
@@ -56,6 +56,16 @@ def test_a_gap_is_seen_in_figures_and_on_the_timeline(tmp_path: Path):
         path = tmp_path / f"{count}.mcap"
         write_poses(path, stamps[:count], positions[:count])
         assert f"{count}" in describe(path, read_episode(path))
+
+
+def test_channels_that_differ_by_a_number_are_one_row(drop_log: Path):
+    stamps = np.arange(5) * 10**7
+    topics = [f"{name}.episode{number}" for number in range(60) for name in ("action", "state")]
+    topics += ["joint1", "joint2"]
+    channels = tuple(Channel(one, "joints", "table", stamps) for one in topics)
+    rows = describe(drop_log, Episode(EpisodeInfo(), {}, channels=channels)).splitlines()[2:6]
+    assert [row.split()[0] for row in rows] == ["action.episode0", "state.episode0", *topics[-2:]]
+    assert [row.endswith("yes, and 59 more like it") for row in rows] == [True, True, False, False]
 
 
 # Whether a log is whole, and where it is not.
