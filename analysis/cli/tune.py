@@ -194,10 +194,10 @@ def _tune(arguments: argparse.Namespace) -> int:
         progress.say(f"tunenet-tune: {doubt}")
     if arguments.preview:
         options = _marked(arguments.logs[0], options, progress)
-    if arguments.dry_run:
-        return _plan(found.logs, options)
     if arguments.together is not None:
         options, found = _together(found, options, is_resumed=arguments.resume)
+    if arguments.dry_run:
+        return _plan(found.logs, options)
     wants_ledger = arguments.resume or arguments.csv is not None
     if wants_ledger and arguments.output is None:
         raise UsageError("--resume and --csv are about the ledger in -o DIR; give it")

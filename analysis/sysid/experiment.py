@@ -494,9 +494,10 @@ def print_plan(log: Path, options: TuneOptions) -> None:
         print(f"  {words}")
     if others := [*runs][1:]:
         total_s = sum(plans[name].target.end_s for name in others)
-        print(f"  together with {listed(others, 6)}: {total_s:.2f} s")
+        print(f"  together with {listed(others, 6)}, {total_s:.2f} s")
     for name in held_out:
-        print(f"  {name}: {plans[name].target.end_s:.2f} s")
+        told = name.removesuffix(" (held out)")
+        print(f"  held out: {told}, {plans[name].target.end_s:.2f} s")
     for words in connected.unused:
         print(f"  not used: {words}")
     for words in connected.doubts:
