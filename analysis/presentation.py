@@ -723,7 +723,7 @@ def gaps_table(record: Record) -> TextTable:
             + (", held out" if one.is_held_out else ""),
             " to ".join(f"{value:.3g}" for value in one.rms),
             " to ".join(f"{1e3 * value:.0f}" for value in one.delay_s) if one.delay_s else "-",
-            f"{100 * one.left:.2g} %",
+            f"{100 * one.left:.2g} %" if one.left is not None else "-",
         )
         for one in (positions or record.gaps)[:_MAX_ROWS]
     ]

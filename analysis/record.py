@@ -262,7 +262,7 @@ class Gap:
         rms: As given, and tuned.
         delay_s: How much later than the simulator the log shows it, as given and tuned; None where
             it hardly moves.
-        left: Tuned RMS error, in standard deviations of the signal.
+        left: Tuned RMS error, in standard deviations of the signal; None where it hardly moves.
     """
 
     signal: str
@@ -271,7 +271,7 @@ class Gap:
     unit: str
     rms: tuple[float, float]
     delay_s: tuple[float, float] | None
-    left: float
+    left: float | None
 
 
 @dataclass(frozen=True)

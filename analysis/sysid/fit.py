@@ -317,7 +317,7 @@ def _gap(column: Column, motion: str, *both: Array) -> Gap:
     for curve in both:
         good = np.isfinite(curve)
         if not good.any():  # it was stopped
-            return Gap(column.label, motion, False, column.unit, (np.nan, np.nan), None, np.nan)
+            return Gap(column.label, motion, False, column.unit, (np.nan, np.nan), None, None)
         at_s, seen, own = column.seconds[good], column.values[good], curve[good]
         rms.append(float(np.sqrt(np.mean((own - seen) ** 2))))
         # What changes alone: an offset is no delay.
@@ -328,8 +328,9 @@ def _gap(column: Column, motion: str, *both: Array) -> Gap:
             at = int(np.argmin([np.std(one - seen[inside]) for one in shifted]))
         delays.append(float(lags[at]) if 0 < at < _LAGS - 1 else np.nan)
     delay_s = (delays[0], delays[1])
-    is_told = column.spread > 3 * column.noise and bool(np.isfinite(delay_s).all())
-    left = rms[1] / max(column.spread, 1e-12)
+    moves = column.spread > 3 * column.noise
+    is_told = moves and bool(np.isfinite(delay_s).all())
+    left = rms[1] / column.spread if moves else None
     signal, unit = column.label, column.unit
     return Gap(signal, motion, False, unit, (rms[0], rms[1]), delay_s if is_told else None, left)
 

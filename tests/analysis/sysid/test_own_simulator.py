@@ -27,6 +27,7 @@ from tunenet_logs.analysis.evaluation.worlds.machines import (
     write_samples,
 )
 from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.presentation import gaps_table
 from tunenet_logs.analysis.sysid.source import listed_parameters
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import LogError, UsageError
@@ -201,6 +202,14 @@ OBJECTS = {
         {"payload_mass": 0.01},
     ),
 }
+
+
+def test_what_is_left_of_a_column_that_rests_is_not_told():
+    record = tn.tune(spring_log(), simulator=Spring()).record
+    moves, rests = record.gaps
+    assert moves.left == pytest.approx(0.009, abs=0.002)
+    assert (rests.delay_s, rests.left) == (None, None)
+    assert [row[-1] for row in gaps_table(record).rows] == ["0.93 %", "-"]
 
 
 @pytest.mark.parametrize("name", OBJECTS)
