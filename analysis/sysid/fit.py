@@ -41,7 +41,8 @@ TOLD = 0.6  # of the sd of what others have: a log that leaves more tells nothin
 _LOOSENED, _LOOSEST = 1.5, 10.0  # times as unsure a start as read: from when on, and at most
 _LOST = 0.2  # of how much a column varies: with more left, no start leads to a log's end
 _PARTS = 3  # of a log that is begun anew, by which its intervals are tried
-_FEW_SHOTS = 8  # pieces of a log; of more, other starts cost too much to be followed
+# Pieces of each log, and of several; of more, other starts cost too much to be followed.
+_FEW_SHOTS, _MOST_SHOTS = 8, 32
 _LOOKS = 2  # at where a motion is predictable, or at each wavy cost, and from what that gave
 _STEP_ORDER = 2.0  # an infinitely short step moves values twice as far as half a step (first order)
 _LOWER = 0.95  # of the cost of an end: one as low is the same
@@ -421,7 +422,9 @@ def _followed(
     steps = _shooting(shots, target, parameters[:tuned])
     begins = [one.initial for one in steps.parameters[tuned:]]
     solution = steps.solve(np.concatenate([start, begins]))
-    if len(shots) <= _FEW_SHOTS and not steps.is_met(solution.residuals):
+    logs = len(np.unique(which))
+    few = min(_FEW_SHOTS * logs, _MOST_SHOTS)
+    if len(shots) <= few and not steps.is_met(solution.residuals):
         solution = _from_elsewhere(steps, solution, tuned, is_rough=True)
     steps, solution = _loosened(steps, solution)
     return steps, solution, shots
