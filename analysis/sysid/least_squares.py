@@ -231,7 +231,6 @@ class RolloutLeastSquares:
         self._most = np.where(self._is_start, 1.0, 2e-2) * self._scales
         self._steps = np.where(self._is_start, 0.2, 3e-3) * self._scales
         self._known: Differences | None = None
-        self._wider = 1.0  # how many times as far off rollouts are looked at, as they are rough
 
     @property
     def _precision(self) -> Array:
@@ -390,7 +389,7 @@ class RolloutLeastSquares:
         cost, damping = self.cost(residuals, values, noise), _FIRST_DAMPING
         differences = partial(self._differences, is_central=is_central)
         beside = differences(values, residuals)
-        slopes = beside.slopes
+        slopes, wider = beside.slopes, 1.0
         for _ in range(25):
             normal, slope = self._equations(values, residuals, slopes, noise)
             sd = np.sqrt(np.diag(np.linalg.inv(normal))) * self._scales
@@ -398,7 +397,7 @@ class RolloutLeastSquares:
             seen = np.sqrt(np.diag(normal) / self.chosen.sum()) / self._scales
             # Once it is known, a step changes what is seen by half the noise, rms: contacts and dry
             # friction make rollouts rough where they are looked at more closely.
-            self._steps = np.clip(self._wider * 0.5 / seen, self._least, self._most)
+            self._steps = np.clip(wider * 0.5 / seen, self._least, self._most)
             tried = partial(self._stepped, values, (normal, slope), noise, still)
             is_own = slopes is beside.slopes  # else carried: where they mislead, others are made
             rule = _DAMPING if is_own else replace(_DAMPING, tries=1)
@@ -413,11 +412,11 @@ class RolloutLeastSquares:
                     moved = moved if new < cost else None
                 after = _DAMPING.lowered(_FIRST_DAMPING)
             if moved is None:
-                is_end = self.is_approximate or self._wider >= _WIDEST or not beside.is_rough
+                is_end = self.is_approximate or wider >= _WIDEST or not beside.is_rough
                 if is_own and is_end:
                     break
                 if is_own:
-                    self._wider *= _WIDER
+                    wider *= _WIDER
                     self._steps = np.clip(_WIDER * self._steps, self._least, self._most)
                     self._known = None
                 beside = differences(values, residuals)
