@@ -100,11 +100,11 @@ def by_road(road: str, video: Path, folder: Path, command: Command) -> Path:
 ROADS = ("log.mcap", "ros1.bag", "db3", "mcap")
 
 
-def is_the_same(one: Tuning, other: Tuning) -> None:
-    """The same verdict, and a value within the interval: a road may encode pictures anew."""
+def is_the_same(one: Tuning, other: Tuning, share: float = 0.2) -> None:
+    """The same verdict, and a value within a share of the way to the interval's end."""
     assert other.verdict == one.verdict, (one.reason, other.reason)
-    low, high = ends(one)
-    assert low < value(other) < high
+    end = ends(one)[int(value(other) > value(one))]
+    assert abs(value(other) - value(one)) < share * abs(end - value(one))
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,9 @@ def test_a_clip_has_one_answer(tuned, command: Command, tmp_path: Path, clip: st
     video, from_file = tuned(clip)
     assert from_file.verdict == "ok", from_file.reason
     assert value(from_file) == pytest.approx(0.7, abs=0.01)
-    is_the_same(from_file, tune_log(by_road(road, video, tmp_path, command), TuneOptions()))
+    log = by_road(road, video, tmp_path, command)
+    # Of x265's quickest pictures those encoded anew differ as much as the interval allows.
+    is_the_same(from_file, tune_log(log, TuneOptions()), 1.0 if clip == "hevc.mp4" else 0.2)
 
 
 @pytest.mark.slow
@@ -147,7 +149,8 @@ def test_a_phones_slow_motion_has_one_answer(command: Command, tmp_path: Path, r
     else:
         taken = ((START_NS + (one - START_NS) // 4, two) for one, two in decoded(video))
         log = write_jpegs_bag(tmp_path / road, taken)
-    is_the_same(tune_log(video, TuneOptions()), tune_log(log, TuneOptions()))
+    share = 0.2 if road == "log.mcap" else 1.0  # a bag's pictures are encoded anew
+    is_the_same(tune_log(video, TuneOptions()), tune_log(log, TuneOptions()), share)
 
 
 def messages_of(log: Path, form: str) -> Iterator[Fields]:
