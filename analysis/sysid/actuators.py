@@ -8,9 +8,9 @@ what is not held out predicts the rest better too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from tunenet_logs.analysis.sysid.fit import TOLD, later_part
 from tunenet_logs.analysis.sysid.least_squares import (
     RolloutLeastSquares,
+    Run,
     Solution,
     correlation_length,
     covariance,
@@ -41,7 +42,7 @@ _GROUPS: tuple[tuple[str, ...], ...] = (
 )
 _NEEDS = {"stribeck_load": "load_friction"}  # what has to be there before
 _BRAKE = ("back_emf",)
-_TRIED = 3  # groups that are fitted in a round, the most promising first
+_TRIED = 3  # groups that are fitted in a round at most, the most promising first
 _SMALL_START = 0.3  # sd of what is usual, from which a term begins that is 0 as a rule
 _SURE = 2.0  # standard deviations from where it is not there, beyond which a term stays
 
@@ -55,11 +56,11 @@ class Choice:
     words: tuple[str, ...]  # what was added or left out, and why
     rollouts: int  # that it took
 
-    def omitted(self, parameters: Sequence[Parameter]) -> Callable[[Array], Array]:
-        """Return what each term that is left out would change, of the size that is usual.
+    def omitted(self, parameters: Sequence[Parameter]) -> tuple[Run, ...]:
+        """Return what rolls out with each term that is left out, of the size that is usual.
 
-        Of rollouts at values of these parameters, shape (P,) -> (G, M). A log that cannot tell a
-        term may have it: what it would do to the others widens their intervals.
+        At values of these parameters. A log that cannot tell a term may have it: what it would do
+        to the others widens their intervals.
         """
         selection = self.selection
         names = [one.name for one in selection.parameters]
@@ -72,16 +73,13 @@ class Choice:
                     key = selection.terms[name][1], group
                     groups.setdefault(key, []).append(place)
 
-        def changes(values: Array) -> Array:
-            row = selection.base.copy()
-            row[places] = values
-            rows = np.repeat(row[None], 1 + len(groups), axis=0)
-            for number, group in enumerate(groups.values(), 1):
-                rows[number, group] = [selection.size(place) for place in group]
-            seen = selection.seen(rows)
-            return np.where(np.isfinite(seen[1:] - seen[0]), seen[1:] - seen[0], 0.0)
+        def run(group: list[int], values: Array) -> Array:
+            rows = np.repeat(selection.base[None], len(values), axis=0)
+            rows[:, places] = values
+            rows[:, group] = [selection.size(place) for place in group]
+            return selection.seen(rows)
 
-        return changes
+        return tuple(partial(run, group) for group in groups.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,6 +257,8 @@ def choose(connected: Connected, source: ModelSource) -> Choice:
             if promised[one] > len(one) and (_NEEDS.get(one[0], ""),) not in rest
         ]
         for group in sorted(ready, key=lambda one: -promised[one])[:_TRIED]:
+            if best is not None and best[0] > promised[group]:
+                break
             start = now.values.copy()
             start[list(new[group])] = [selection.start(place) for place in new[group]]
             tried = selection.fit(tuple(sorted((*now.free, *new[group]))), start)

@@ -232,27 +232,20 @@ class SimulatorProblem(Problem):
         def charged(begun: Begun | None) -> Begun | None:
             if begun is None:
                 return None
-            finer = None if begun.finer is None else counted(begun.finer)
-            return replace(begun, run=counted(begun.run), finer=finer)
-
-        def counted(run: Run) -> Run:
-            def charging(values: Array) -> Array:
-                self.rollouts += len(values)
-                return run(values)
-
-            return charging
+            finer = None if begun.finer is None else self._charging(begun.finer)
+            return replace(begun, run=self._charging(begun.run), finer=finer)
 
         def begin(from_s: float, until_s: float) -> Begun | None:
             return unseen.begin and charged(unseen.begin(from_s, until_s))
 
         return replace(unseen, begin=begin, whole=charged(unseen.whole))
 
-    def _omitted(self, values: Array) -> Array:
-        """See `Connected.omitted`; a rollout for each effect, and one without, are charged."""
-        assert self._connected.omitted is not None
-        changes = self._connected.omitted(values)
-        self.rollouts += 1 + len(changes)
-        return changes
+    def _charging(self, run: Run) -> Run:
+        def charging(values: Array) -> Array:
+            self.rollouts += len(values)
+            return run(values)
+
+        return charging
 
     def _fit(self, start: Array) -> FitResult:
         connected = self._connected
@@ -275,7 +268,7 @@ class SimulatorProblem(Problem):
             predict,
             connected.later,
             connected.logs,
-            None if connected.omitted is None else self._omitted,
+            [self._charging(one) for one in connected.omitted],
             partial(anew, fitted) if fitted else None,
             connected.joints,
         )

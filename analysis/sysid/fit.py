@@ -45,6 +45,7 @@ _PARTS = 3  # of a log that is begun anew, by which its intervals are tried
 _FEW_SHOTS, _MOST_SHOTS = 8, 32
 _LOOKS = 2  # at where a motion is predictable, or at each wavy cost, and from what that gave
 _STEP_ORDER = 2.0  # an infinitely short step moves values twice as far as half a step (first order)
+_SURELY_SEEN = 1e4  # of twice a log likelihood: so much by straight lines is no error of theirs
 _LOWER = 0.95  # of the cost of an end: one as low is the same
 
 
@@ -136,7 +137,7 @@ class SimulatorFit:
     simulated: Array  # what it shows at the log's stamps, shape (M,)
     first: Array  # what the simulator showed as given, shape (M,)
     sd: Array  # standard deviation of each value, shape (P,), the time step's part included
-    half95: Array  # half the 95 % interval of each value, shape (P,), bounds ignored
+    half95: Array  # how far the 95 % interval of each value reaches, shape (P,), bounds ignored
     # shift of each by half the time step, shape (P,); None if there is no other step
     step_shift: Array | None
     held_out: HeldOut | None  # None if the log is too short
@@ -177,7 +178,7 @@ def fit_simulator(
     predict: Predict | None = None,
     later: NDArray[np.bool_] | None = None,
     logs: tuple[tuple[str, ...], NDArray[np.intp]] | None = None,
-    omitted: Callable[[Array], Array] | None = None,
+    omitted: Sequence[Run] = (),
     anew: Anew | None = None,
     joints: Mapping[str, str] | None = None,
 ) -> FitResult:
@@ -186,10 +187,9 @@ def fit_simulator(
     `finer` makes rollouts with half the time step; `unresolved` is what the step leaves unsure of
     each parameter, one standard deviation, shape (P,). `predict` tells how well a fit predicts
     what is held out, `later` what of the log that is, shape (M,): the last 40 % of the time. `logs`
-    are the names of several, and which each value is of, shape (M,). `omitted` tells what the
-    rollout at values, shape (P,), would change by each effect that is left out, (G, M). `anew`
-    begins rollouts inside the log. `joints` are those that servos' parameters move, by their
-    addresses.
+    are the names of several, and which each value is of, shape (M,). `omitted` roll out with one
+    effect each that is left out, of the usual size. `anew` begins rollouts inside the log. `joints`
+    are those that servos' parameters move, by their addresses.
     """
     from scipy.special import stdtrit
 
@@ -204,24 +204,21 @@ def fit_simulator(
         finer = _shooting(shots, target, parameters[:tuned], is_finer=True).run
         more = np.zeros(len(solution.values) - tuned)
         unresolved = None if unresolved is None else np.concatenate([unresolved[:tuned], more])
-        omitted = None
+        omitted = ()
     parameters = steps.parameters
     cov, independent = covariance(solution, target, parameters)
     sd = np.sqrt(np.diag(cov))
     correlation = cov / np.outer(sd, sd)
-    sd[:tuned] *= _walked(steps, solution, cov, tuned)
-    shift = None
-    if finer is not None:
-        moved = finer(solution.values[None])[0] - (target.values + solution.residuals)
-        moved = np.where(np.isfinite(moved), moved, 0.0)
-        shift = np.abs(_moved_by(moved, solution, target, parameters))
+    inflation = steps.inflation(solution)
+    walked = _walked(steps, solution, cov, tuned)
+    sd[:tuned] *= walked
+    inflation[:tuned] *= walked
+    shift = None if finer is None else _shift_by_step(finer, solution, target, parameters)
     rough = [_moved_by(bend, solution, target, parameters) for bend in solution.bends]
     # Factor on the variance of white noise in them: 1 + 4 + 1
     wide = np.hypot(sd, np.sqrt(np.mean(np.square(rough), axis=0) / 6.0))
-    if omitted is not None:
-        for change in omitted(solution.values):
-            by = _moved_by(change, solution, target, parameters)
-            wide = np.hypot(wide, np.sqrt(_possible(change, by, solution, target)) * np.abs(by))
+    effects = _omitted_effects(omitted, steps, solution, wide)
+    wide = np.sqrt(wide**2 + sum((size * by) ** 2 for by, size in effects))
     if unresolved is not None:  # the others follow what the step leaves unsure of one
         followed = cov * (unresolved / np.diag(cov))
         wide = np.sqrt(wide**2 + np.sum(followed**2, axis=1))
@@ -245,10 +242,11 @@ def fit_simulator(
         if apart is not None:
             wide[:tuned] = np.maximum(wide[:tuned], apart / students)
     half95 = students * wide
-    if shift is not None:
-        half95 += _STEP_ORDER * shift
-    low, high = np.array([one.bounds for one in parameters]).T
     ends = np.stack([solution.values - half95, solution.values + half95])
+    if shift is not None:  # from what this step needs to what an infinitely short one would
+        ends += np.stack([np.minimum(shift, 0.0), np.maximum(shift, 0.0)])
+        half95 += np.abs(shift)
+    low, high = np.array([one.bounds for one in parameters]).T
     ends = np.clip(ends, low, high)
     detail = SimulatorFit(
         target,
@@ -259,10 +257,10 @@ def fit_simulator(
         first,
         half95 / students,
         half95,
-        shift,
+        None if shift is None else np.abs(shift) / _STEP_ORDER,
         held_out,
         correlation,
-        steps.inflation(solution),
+        inflation,
         np.ones(len(which))
         if shots or steps.is_met(solution.residuals)
         else _predictable(steps, solution, which)[1],
@@ -545,6 +543,15 @@ def _from_elsewhere(
     return solution
 
 
+def _shift_by_step(
+    finer: Run, solution: Solution, target: ComparedColumns, parameters: tuple[Parameter, ...]
+) -> Array:
+    """Return how far an infinitely short time step would move values, about, shape (P,)."""
+    moved = finer(solution.values[None])[0] - (target.values + solution.residuals)
+    moved = np.where(np.isfinite(moved), moved, 0.0)
+    return -_STEP_ORDER * _moved_by(moved, solution, target, parameters)
+
+
 def _moved_by(
     change: Array, solution: Solution, target: ComparedColumns, parameters: tuple[Parameter, ...]
 ) -> Array:
@@ -558,14 +565,29 @@ def _moved_by(
     return np.linalg.solve(normal, slopes.T @ (weights * change)) * scales
 
 
-def _possible(change: Array, by: Array, solution: Solution, target: ComparedColumns) -> float:
-    """Return the variance that a log leaves of an effect's size, of a prior of 1 about none.
+def _omitted_effects(
+    omitted: Sequence[Run], steps: RolloutLeastSquares, solution: Solution, sd: Array
+) -> list[tuple[Array, float]]:
+    """Return how each effect that is left out would move values, (P,), and its rms size by the log.
 
-    Of its `change` of the rollout, (M,), what other values do not undo, `by` (P,), is seen.
+    It is there or not, as likely either way before (Bayesian model averaging; Hoeting et al. 1999);
+    if so, between none and the usual size, 1, with variance 1. What a refit with it leaves is seen.
     """
-    left = change - solution.slopes @ by
-    seen = np.sum(solution.chosen * (left / target.per_value(solution.noise)) ** 2)
-    return 1.0 / (1.0 + float(seen) / solution.together)
+    target, found = steps.target, list[tuple[Array, float]]()
+    weights = solution.chosen / target.per_value(solution.noise) ** 2 / solution.together
+    for run in omitted:
+        with_it = replace(steps, run=run)
+        left = with_it.residuals(solution.values[None])[0] - solution.residuals
+        by = -_moved_by(left, solution, target, steps.parameters)
+        left = left + solution.slopes @ by
+        if np.sum(weights * left**2) < _SURELY_SEEN and np.any(np.abs(by) > sd):
+            values, residuals = with_it.descended(solution)
+            by, left = values - solution.values, residuals - solution.residuals
+        variance = 1.0 / (1.0 + float(np.sum(weights * left**2)))
+        mean = -variance * float(np.sum(weights * left * solution.residuals))
+        odds = np.sqrt(variance) * np.exp(min(mean**2 / variance / 2, 100.0))  # Laplace's
+        found.append((by, float(np.sqrt(odds / (1.0 + odds) * (variance + mean**2)))))
+    return found
 
 
 def _is_noise(steps: RolloutLeastSquares, solution: Solution, held_out: HeldOut | None) -> bool:

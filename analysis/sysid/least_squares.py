@@ -354,6 +354,12 @@ class RolloutLeastSquares:
         """Descend with all columns of equal weight: values, (P,), and residuals, (M,), there."""
         return self._descend(start, residuals, self.coarse(), [])
 
+    def descended(self, solution: Solution) -> tuple[Array, Array]:
+        """Descend from another's solution with its weights: values, (P,), and residuals, (M,)."""
+        self._together = solution.together
+        residuals = self.residuals(solution.values[None])[0]
+        return self._descend(solution.values, residuals, solution.noise, [])
+
     def _settled(
         self, start: Array, path: list[Array], *, is_central: bool
     ) -> tuple[Array, Array, Array]:

@@ -155,8 +155,8 @@ class Connected:
     # Which of several logs each value is of, shape (M,), and which are held out; None for one log.
     logs: tuple[tuple[str, ...], NDArray[np.intp]] | None = None
     later: NDArray[np.bool_] | None = None  # which values are held out, shape (M,), likewise
-    # What effects that are left out would change; see `fit_simulator`.
-    omitted: Callable[[Array], Array] | None = None
+    # What rolls out with an effect each that is left out; see `fit_simulator`.
+    omitted: Sequence[Callable[[Array], Array]] = ()
     joints: Mapping[str, str] = field(default_factory=dict)  # that servos' parameters move, by name
     spent: int = 0  # rollouts by which it was chosen what to tune
 

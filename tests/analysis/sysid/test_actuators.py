@@ -64,8 +64,9 @@ def test_a_doubt_names_what_the_first_part_does_not_tell(tmp_path: Path) -> None
     assert "record twice as long" in tuning.reason
 
 
-def test_a_slow_rise_does_not_tell_a_gain_from_friction_by_load(tmp_path: Path) -> None:
-    log = slow_servo_log(12)  # of a servo with friction by load, which a fit without it explains
+@pytest.mark.parametrize("seed", [12, 97_000_005])
+def test_a_slow_rise_does_not_tell_a_gain_from_friction_by_load(seed: int, tmp_path: Path) -> None:
+    log = slow_servo_log(seed)  # of a servo with friction by load, which a fit without it explains
     assert log.truth[f"servo/{NAME}.load_friction"] > 0
     tuning = tuned(log, tmp_path)
     assert tuning.trace is not None
