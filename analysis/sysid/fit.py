@@ -142,7 +142,7 @@ class SimulatorFit:
     step_shift: Array | None
     held_out: HeldOut | None  # None if the log is too short
     correlation: Array  # of all values, shape (P, P)
-    inflation: Array  # ratio of each sd to that with all others known, shape (P,)
+    inflation: Array  # ratio of each sd to that with all else known, shape (P,)
     predictable: Array  # how much each value says of the model, 0 to 1, shape (M,)
     is_begun_anew: bool  # whether the rollout begins anew, wherever an error of its start has grown
     is_tried: bool  # whether the intervals were tried, and widened, by parts of what was fitted
@@ -209,16 +209,15 @@ def fit_simulator(
     cov, independent = covariance(solution, target, parameters)
     sd = np.sqrt(np.diag(cov))
     correlation = cov / np.outer(sd, sd)
-    inflation = steps.inflation(solution)
-    walked = _walked(steps, solution, cov, tuned)
-    sd[:tuned] *= walked
-    inflation[:tuned] *= walked
+    known = sd / steps.inflation(solution)
+    sd[:tuned] *= _walked(steps, solution, cov, tuned)
     shift = None if finer is None else _shift_by_step(finer, solution, target, parameters)
     rough = [_moved_by(bend, solution, target, parameters) for bend in solution.bends]
     # Factor on the variance of white noise in them: 1 + 4 + 1
     wide = np.hypot(sd, np.sqrt(np.mean(np.square(rough), axis=0) / 6.0))
     effects = _omitted_effects(omitted, steps, solution, wide)
     wide = np.sqrt(wide**2 + sum((size * by) ** 2 for by, size in effects))
+    inflation = wide / known
     if unresolved is not None:  # the others follow what the step leaves unsure of one
         followed = cov * (unresolved / np.diag(cov))
         wide = np.sqrt(wide**2 + np.sum(followed**2, axis=1))
@@ -568,11 +567,13 @@ def _moved_by(
 def _omitted_effects(
     omitted: Sequence[Run], steps: RolloutLeastSquares, solution: Solution, sd: Array
 ) -> list[tuple[Array, float]]:
-    """Return how each effect that is left out would move values, (P,), and its rms size by the log.
+    """Return how each effect that is left out would move values, (P,), and its size by the log, sd.
 
     It is there or not, as likely either way before (Bayesian model averaging; Hoeting et al. 1999);
     if so, between none and the usual size, 1, with variance 1. What a refit with it leaves is seen.
     """
+    from scipy.special import ndtri
+
     target, found = steps.target, list[tuple[Array, float]]()
     weights = solution.chosen / target.per_value(solution.noise) ** 2 / solution.together
     for run in omitted:
@@ -586,7 +587,10 @@ def _omitted_effects(
         variance = 1.0 / (1.0 + float(np.sum(weights * left**2)))
         mean = -variance * float(np.sum(weights * left * solution.residuals))
         odds = np.sqrt(variance) * np.exp(min(mean**2 / variance / 2, 100.0))  # Laplace's
-        found.append((by, float(np.sqrt(odds / (1.0 + odds) * (variance + mean**2)))))
+        there = float(odds / (1.0 + odds))
+        reach95 = abs(mean) - np.sqrt(variance) * ndtri(min(0.025 / there, 0.5))
+        rms = np.sqrt(there * (variance + mean**2))
+        found.append((by, float(max(rms, reach95 / 1.96 * (there > 0.05)))))
     return found
 
 

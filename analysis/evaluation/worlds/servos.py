@@ -141,13 +141,13 @@ def servo_log(seed: int, noise: float = 1.0) -> ModelLog:
 
 
 def slow_servo_log(seed: int, noise: float = 1.0) -> ModelLog:
-    """Simulate one slow rise: it tells no armature, and nothing of a limit."""
+    """Simulate one slow rise: it tells no gain from friction by load, and nothing of a limit."""
     rng = np.random.default_rng((seed, 59))
     servo = replace(drawn(rng, noise), forcerange=LIMIT_N_M, commands=0.0)
     told_s = np.arange(0.0, LENGTH_S, 0.01)
     told_rad = 0.05 * (1 - np.cos(np.pi * told_s / LENGTH_S))
     log = _log(servo, rng, told_s, told_rad)
-    return replace(log, unidentifiable=(f"joint/{NAME}.armature",))
+    return replace(log, unidentifiable=(f"actuator/{NAME}.kp",))
 
 
 def _log(servo: Servo, rng: np.random.Generator, told_s: Array, told_rad: Array) -> ModelLog:
