@@ -157,7 +157,7 @@ class SimulatorFit:
         own, half95 = slice(self.tuned), self.half95[: self.tuned]
         wide = _is_wide(half95, self.parameters[own])
         values = np.abs(self.solution.values[own])
-        # Times less sure than if all others were known: from there on it is seen with them alone
+        # Times less sure than if all else was known: from there on it is seen with that alone
         wide |= (self.inflation[own] > 40.0) & (half95 > 0.25 * values)
         return tuple(one for one, is_wide in zip(self.parameters, wide, strict=False) if is_wide)
 
