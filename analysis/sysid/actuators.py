@@ -198,7 +198,8 @@ class _Selection:
         def left(which: list[int]) -> Array:
             if not which:
                 return before
-            sizes = lsq_linear(changes[:, which], -before, (low[which], np.inf)).x
+            ends = low[which], np.inf
+            sizes = lsq_linear(changes[:, which], -before, ends, method="bvls").x
             return before + changes[:, which] @ sizes
 
         def gained(without: list[int], added: list[int]) -> float:
