@@ -181,13 +181,13 @@ def times_problem(detection: TimesDetection, initial: Array) -> Problem:
         if detection.among is not None:
             raise NotFoundError(
                 f"{detection.topic}: no ball that bounces is heard: the best knocks are "
-                f"{1000 * flights_s.min():.3g} to {1000 * flights_s.max():.3g} ms apart, which is "
+                f"{1000 * flights_s.min():.4g} to {1000 * flights_s.max():.4g} ms apart, which is "
                 "a rattle",
                 RIGHT_SOUND,
             ) from error
         raise NotFoundError(
-            f"these impacts cannot be simulated: {error}; flights of {1000 * flights_s.min():.3g} "
-            f"to {1000 * flights_s.max():.3g} ms: are the times in seconds?",
+            f"these impacts cannot be simulated: {error}; flights of {1000 * flights_s.min():.4g} "
+            f"to {1000 * flights_s.max():.4g} ms: are the times in seconds?",
             RIGHT_TIMES,
         ) from error
     count = len(detection.target.axis)

@@ -39,7 +39,7 @@ def since_impacts_s(times_s: Array, numbers: NDArray[np.integer]) -> Array:
     """
     first = int(numbers[0])
     impacts_s = np.interp(np.arange(numbers[-1]), numbers, times_s)
-    impacts_s[:first] -= (times_s[1] - times_s[0]) * np.arange(first, 0, -1)
+    impacts_s[:first] -= np.ptp(times_s[:2]) * np.arange(first, 0, -1)
     return np.maximum(times_s[:, None] - impacts_s, 0.0)
 
 
@@ -47,6 +47,8 @@ def since_impacts_s(times_s: Array, numbers: NDArray[np.integer]) -> Array:
 
 # Below it the closed form would lose its digits: over 100 m it changes a flight by 1e-7.
 _MIN_DRAG_1_M = 1e-9
+_SPEEDS_M_S = 1e-6, 1e3  # beyond them no fit of a ball goes on
+_LOG_SPEEDS = np.log(_SPEEDS_M_S)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +83,7 @@ def flights(
         if number == 1:
             first = held
         kept = restitution * (held / first) ** -slope
-        leaving[number] = np.clip(kept * speed, 1e-6, 1e3)  # so that a fit may go on
+        leaving[number] = np.clip(kept * speed, *_SPEEDS_M_S)
     return FlightTimes(impacts_s, leaving, arriving)
 
 
@@ -249,8 +251,10 @@ class WithContacts:
         own = jitters[:, None, None] ** 2 * fit.spread[:, None, 1:, 1:]
         shared = leans[..., :, None] * leans[..., None, :] * variance[..., None, None]
         gains = 0.5 * pull**2 / sharpness + np.log(sd / priors.CONTACT_SD_S) + log_share
+        middles = fit.unknowns[:, None, 1:] + leans * longer_s[..., None]
+        middles[..., 0] = np.clip(middles[..., 0], *_LOG_SPEEDS)
         return cls(
-            fit.unknowns[:, None, 1:] + leans * longer_s[..., None],
+            middles,
             own + shared,
             priors.CONTACT_S + longer_s,
             gains,
@@ -627,6 +631,8 @@ def heard_ball(
     of_balls = balls.restitutions, balls.slopes, balls.drags_1_m
     values = np.array([balls.mean(one) for one in of_balls])
     values[0] = min(values[0], 1.0)
+    if values[0] <= 0:  # the best of all balls would not leave the table
+        return None
     contact_s = balls.mean(balls.contacts_s)
     flown = clock[reading.heard] - contact_s * reading.numbers[reading.heard]
     begin, leaving = _held(flown, reading, values, balls, rig)
@@ -692,7 +698,8 @@ def _held(
 ) -> tuple[float, float]:
     """Fit first impact [s] and speed after it [m/s] by Gauss-Newton, with the values held."""
     numbers = reading.numbers[reading.heard]
-    log_speed, short, begin_s = balls.mean(balls.begins), 1e-6, float(clock_s[0])
+    log_speed = float(np.clip(balls.mean(balls.begins), *_LOG_SPEEDS))
+    short, begin_s = 1e-6, float(clock_s[0])
     ratio_1_s = balls.mean(balls.scatters) / balls.mean(balls.jitters_s)
     rows = Whitening.of(clock_s, numbers, ratio_1_s).rows
     for _ in range(6):
@@ -703,7 +710,8 @@ def _held(
         columns = np.column_stack([np.ones(len(hits)), (moved - hits) / short])
         off = clock_s - begin_s - hits
         step, *_ = np.linalg.lstsq(rows @ columns, rows @ off, rcond=None)
-        begin_s, log_speed = begin_s + float(step[0]), log_speed + float(np.clip(step[1], -1, 1))
+        begin_s += float(step[0])
+        log_speed = float(np.clip(log_speed + np.clip(step[1], -1, 1), *_LOG_SPEEDS))
     return begin_s, float(np.exp(log_speed))
 
 

@@ -373,6 +373,9 @@ NO_TIMES = {
     "linear, faster": (np.linspace(0.6, 0.2, 9), "rejected", "beats that shorten by one"),
     "three": (np.array([0.0, 0.5, 0.4]), "", ""),
     "two": (np.array([0.0, 0.5]), "rejected", "2 impact times, too few for two whole flights"),
+    "a rattle at the end": (np.array([0.68, 0.43, 1.44, 0.0042, 0.0059]), "", ""),
+    "a rattle at the start": (np.array([0.28, 0.001, 0.001, 0.36, 0.075, 0.115]), "", ""),
+    "doubles": (np.array([0.0142, 0.0151, 0.0019, 0.1514, 0.0022, 0.0097]), "", ""),
     "a metronome": (np.full(40, 0.5), "", ""),
     "too lively": (0.5 * 0.97 ** np.arange(12), "suspect", "flights shorten as a ball's"),
     **{
@@ -382,10 +385,11 @@ NO_TIMES = {
 }
 
 
+@pytest.mark.parametrize("height_m", [None, 1.0])
 @pytest.mark.parametrize("name", NO_TIMES)
-def test_what_is_no_ball_is_never_ok(name: str):
+def test_what_is_no_ball_is_never_ok(name: str, height_m: float | None):
     between_s, verdict, says = NO_TIMES[name]
-    tuning = tuned(np.cumsum(between_s))
+    tuning = tuned(np.cumsum(between_s), TuneOptions(height_m=height_m))
     assert tuning.verdict in ([verdict] if verdict else ["suspect", "rejected"])
     assert says in (tuning.reason or "")
 
@@ -443,7 +447,7 @@ def test_verdicts_errors_and_intervals_of_many():
     found = {row["label"]: row for row in counted_verdicts((5, 12, 48))}
     assert sum(found[name]["ok"] for name in NO_BALLS) <= 2
     many = found["balls, 6 or more"]
-    assert many["ok"] > 0.65 * many["sets"]
+    assert many["ok"] > 0.35 * many["sets"]
     every = figures_of("all", scored_sets((5, 150, False)))
     assert every["told"] == every["sets"]
     assert every["mae"] < 1.4 * every["bound"]
