@@ -86,6 +86,25 @@ def test_torques_positions_and_velocities_of_joints(tmp_path: Path):
     assert (units["joints.effort"], units["joints.velocity"]) == ("N·m", "rad/s")
 
 
+def test_a_quantity_in_two_units_is_read_once(tmp_path: Path):
+    header = "t,elbow_pos_deg,elbow_pos_rad,elbow_pos_last,elbow_vel,elbow_vel"
+    episode = read(tmp_path, f"{header}\n0,180,3.14,0,1,2\n1,90,1.57,3,1,2\n")
+    (signal,) = episode.signals.values()
+    assert (signal.name, signal.columns) == ("joints.position", ("elbow",))
+    assert signal.values.tolist() == [[3.14], [1.57]]
+    why = {one.topic: one.skipped or "" for one in episode.channels}
+    assert why["elbow_pos_deg"] == "the same as 'elbow_pos_rad'"
+    assert "several columns" in why["elbow_vel"]
+
+
+def test_joints_in_a_row_are_named_by_their_first_and_last_column(tmp_path: Path):
+    columns = "t=1,position=2:4,command=5:7"
+    signals = read(tmp_path, "0 1 2 3 4 5 6 7\n1 2 3 4 5 6 7 8\n", columns).signals
+    assert signals["joints.position"].columns == ("joint1", "joint2", "joint3")
+    assert signals["joints.position"].values.tolist() == [[1, 2, 3], [2, 3, 4]]
+    assert signals["commands"].values.tolist() == [[4, 5, 6], [5, 6, 7]]
+
+
 @pytest.mark.parametrize(
     ("header", "columns"),
     [
@@ -130,6 +149,9 @@ ROWS = "".join(f"{n},1\n" for n in range(94))
         ("0,1\n1,2\n", "", "perhaps --columns t=1,z=2"),
         ("0.1\n0.5\n0.7\n", "", "times=1 for times of impacts.*, or --columns z=1 --fps F"),
         ("z_mm\n3\n2\n1\n", "", "'z_mm' would be taken as positions.*--columns z=z_mm --fps F"),
+        ("tau_est_0,q_0\n1,2\n", "", "add a column of times.*have an even rate, say it: --fps"),
+        ("t,mood,angle\n0,1,2\n", "", "--columns t=t,position_1=angle;"),
+        (" ".join("123456789") + "\n", "", "or, of a robot's joints, t=1,position=2:7"),
         ("0 1 2 3\n1 2 3 4\n", "", "perhaps --columns t=1,x=2,y=3,z=4"),
         ("x,y,z\n1,2,3\n", "", r"none of its columns is a time .*\('x', 'y', 'z'\).*add a column"),
         ("Aika;Pään (cm)\n1;2\n", "", r"--columns t=Aika,z='Pään \(cm\)'"),
@@ -168,6 +190,7 @@ ROWS = "".join(f"{n},1\n" for n in range(94))
         (GERMAN, "t=Zeit,z=Breite", r"no column 'Breite'; its columns are 'Zeit \(ms\)', 'Höhe"),
         (GERMAN, "t=1,z=4", "no column '4'; its columns are"),
         ("Aika;b\n0;1\n", "z=2", "none of its columns is known as a time; say it as well: t=COL"),
+        ("0 1\n1 2\n", "t=1,position=2:4", "no column '3'; its columns"),
         ("0 1\n1 2\n", "t=1,z=3", "no column '3'; its columns are 'column 1', 'column 2'"),
         ("a,b (m/s)\n0,1\n", "t=a,z=b", r"'b \(m/s\)' is z, but it is in 'm/s', which is no unit"),
         ("a (h),b\n0,1\n", "t=1,z=b", r"'a \(h\)' is t, but it is in 'h'"),

@@ -15,9 +15,14 @@ from tunenet_logs.formats.columns.names import LENGTHS
 
 # Where a column of `--columns` begins, and what it is; a column's own name may hold commas.
 _ASSIGNMENT = re.compile(
-    r"(?:^|,)\s*(t|frame|times|object|x|y|z|(?:position|velocity|effort|current|command)_[1-9]\d{0,2})\s*="
+    r"(?:^|,)\s*(t|frame|times|object|x|y|z"
+    r"|(?P<of_joint>position|velocity|effort|current|command)(?P<joint>_[1-9]\d{0,2})?)\s*="
 )
-COLUMNS_EXAMPLE = "t=Zeit,z='Height (cm)', or by number from 1: t=1,z=2; of a log: z=/ball.z"
+_OF_JOINTS = re.compile(r"([1-9]\d{0,3}):([1-9]\d{0,3})", re.ASCII)  # columns of joints 1, 2, ...
+COLUMNS_EXAMPLE = (
+    "t=Zeit,z='Height (cm)', or by number from 1: t=1,z=2; of joints: t=1,position=2:7; of a log: "
+    "z=/ball.z"
+)
 
 
 def columns_of(text: str) -> dict[str, str]:
@@ -31,10 +36,24 @@ def columns_of(text: str) -> dict[str, str]:
         name = text[mark.end() : end].strip().strip("'\"")
         if not name:
             raise UsageError(f"--columns: {mark[1]} is no column; write {COLUMNS_EXAMPLE}")
-        if mark[1] in found:
-            raise UsageError(f"--columns says twice what {mark[1]} is; say it once")
-        found[mark[1]] = name
+        is_range = mark["of_joint"] is not None and mark["joint"] is None
+        for target, column in (_spread(mark[1], name) if is_range else {mark[1]: name}).items():
+            if target in found:
+                raise UsageError(f"--columns says twice what {target} is; say it once")
+            found[target] = column
     return found
+
+
+def _spread(target: str, name: str) -> dict[str, str]:
+    """Return the columns of joints 1, 2, ..., from the first to the last number."""
+    ends = _OF_JOINTS.fullmatch(name)
+    numbers = range(int(ends[1]), int(ends[2]) + 1) if ends else range(0)
+    if not 0 < len(numbers) < 1000:
+        raise UsageError(
+            f"--columns: {target}={name[:40]} names no joints; write {target}_1=COLUMN for one, or "
+            f"{target}=2:7 for joints 1 to 6 in columns 2 to 7"
+        )
+    return {f"{target}_{joint}": str(number) for joint, number in enumerate(numbers, 1)}
 
 
 def _length_unit(text: str) -> str:
@@ -67,7 +86,8 @@ class ReadOptions(CheckedOptions):
     columns: Mapping[str, str] = option(
         "which column is which: t (time), frame, x, y, z, times (of impacts), "
         "object, position_1, velocity_1, effort_1, current_1, command_1, ...; a column by its "
-        "name, or by its number from 1; of a log TOPIC.FIELD, as z=/vicon/ball.z_trans",
+        "name, or by its number from 1, joints in a row as position=2:7; of a log TOPIC.FIELD, as "
+        "z=/vicon/ball.z_trans",
         dict,
         group="files",
         metavar="NAME=COLUMN,...",

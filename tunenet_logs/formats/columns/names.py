@@ -265,7 +265,7 @@ ASKED_OF_NONE = "it is what was asked for, and no joint here is called so"
 # Words of a controller's estimates: a torque without the arm's own, or computed by its model.
 MODELLED = words_in(
     "ext hat est estimated estimate external predicted pred model modelled modeled computed "
-    "calculated"
+    "calculated calc"
 )
 # Words of measured quantities.
 MEASURED = frozenset(("actual", "act", "measured", "meas", "msr", "feedback", "fb", "present"))
@@ -274,7 +274,7 @@ _NO_JOINTS = words_in(
     "deviation ratio error err limit limits percent percentage std stddev var variance cov "
     "covariance noise scaling temperature temp voltage max min mode status rpm hz lbf volt volts "
     "counts ticks rev revs w quat quaternion enable enabled disable disabled on off switch flag "
-    "valid fault reached gain gains kp ki kd"
+    "valid fault reached gain gains kp ki kd last prev previous"
 )
 # What the switches of motors are called.
 _SWITCHES = {
@@ -477,8 +477,14 @@ def _joint_unit(lower: Words) -> tuple[int, Sequence[str], float]:
 
 def states_angle(name: str) -> bool:
     """Return whether a joint column's name states its unit."""
+    return without_joint_unit(name) is not None
+
+
+def without_joint_unit(name: str) -> Words | None:
+    """Return the words before a joint column's unit, numbers apart; None without a unit."""
     words = [word for word in lowered(words_of(name, camel=False)) if not word.isdecimal()]
-    return _joint_unit(tuple(words))[0] > 0
+    count = _joint_unit(tuple(words))[0]
+    return tuple(words[:-count]) if count else None
 
 
 def _no_joint(quantity: str, others: Words) -> UnusedColumn | None:
@@ -1033,6 +1039,15 @@ def short_list(names: Sequence[str]) -> str:
     shown = [repr(name.strip()[:MAX_SHOWN_LENGTH]) for name in names if name.strip()]
     more = f", ... ({len(shown)} in all)" if len(shown) > MAX_SHOWN else ""
     return ", ".join(shown[:MAX_SHOWN]) + more
+
+
+def reasons_of(unused: Mapping[str, str]) -> str:
+    """List the first few reasons why columns are not used, each with its columns."""
+    names: dict[str, list[str]] = {}
+    for name, why in unused.items():
+        if name.strip():
+            names.setdefault(why, []).append(name)
+    return "; ".join(f"{short_list(some)}: {why}" for why, some in list(names.items())[:4])
 
 
 # ---- Lists: a column of two or three values is a place, others are joints.

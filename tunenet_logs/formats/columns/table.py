@@ -82,12 +82,14 @@ from tunenet_logs.formats.columns.names import (
     lowered,
     meaning_of,
     places_of,
+    reasons_of,
     runs_of,
     said_reading,
     short_list,
     spread_names,
     states_angle,
     with_franka_times,
+    without_joint_unit,
     words_of,
 )
 from tunenet_logs.formats.options import ReadOptions
@@ -491,8 +493,14 @@ def joints_of(
     for (_, is_command, quantity), labels in tables.items():
         for label in [label for label, found in labels.items() if len(found) > 1]:
             what = f"{'commanded ' if is_command else ''}{quantity}" if quantity else "command"
-            for at in labels.pop(label):
-                unused[header[at]] = f"several columns are the {what} of {label!r}"
+            why = f"several columns are the {what} of {label!r}"
+            found = sorted(labels.pop(label), key=lambda at: -values[at].scale)
+            sizes = {values[at].scale for at in found}
+            stems = {without_joint_unit(header[at]) for at in found}
+            if len(sizes) == len(found) and len(stems) == 1:  # one quantity, in several units
+                labels[label] = found[:1]
+                why = f"the same as {header[found.pop(0)]!r}"
+            unused.update({header[at]: why for at in found})
     robots: dict[tuple[str, bool], dict[str, int]] = {}
     for (robot, is_command, _), labels in tables.items():
         rows = robots.setdefault((robot, is_command), {})
@@ -840,12 +848,10 @@ def plan_columns(
         groups = tuple(one for one in groups if one not in untimed)
     plan = replace(plan, names=tuple(names), groups=groups, unused=unused)
     if not groups:
-        others = {**(left_out or {}), **unused}
-        reasons = "; ".join(f"{name[:60]!r}: {why}" for name, why in list(others.items())[:4])
+        reasons = reasons_of({**(left_out or {}), **unused})
         why = reasons or f"columns: {listed([name[:40] for name in names])}"
-        raise LogError(
-            f"{path}: no column is a place or a joint's ({why}); name them: --columns t=NAME,z=NAME"
-        )
+        what = f"no column that has a time is a place or a joint's ({why})"
+        raise LogError(f"{path}: {what}; name them: --columns t=NAME,z=NAME")
     return fitted(path, plan, options)
 
 
@@ -1371,7 +1377,7 @@ def episode_of_table(path: Path, table: Table, options: ReadOptions) -> Episode:
             meant.append(_bare(name))
             columns.append(rows)
     if not columns:
-        reasons = "; ".join(f"{name[:40]!r}: {why}" for name, why in list(left_out.items())[:4])
+        reasons = reasons_of(left_out)
         raise LogError(
             f"{path}: holds no array of numbers that is a place over time ({reasons})", _NAME_THEM
         )

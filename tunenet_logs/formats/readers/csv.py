@@ -62,6 +62,7 @@ from tunenet_logs.formats.columns.names import (
     length_in,
     meaning_of,
     places_of,
+    reasons_of,
     said_reading,
     short_list,
     spread_names,
@@ -112,7 +113,8 @@ def offer_by_number(first: str, rest: Iterable[str | None], separator: str | Non
     if not increases and len(last) in (2, 3):
         text += "for example --columns t=1,z=2, or, where a row is a picture, "
         return text + "--columns x=1,y=2 --fps 30"
-    return text + "for example --columns t=1,z=2"
+    joints = ", or, of a robot's joints, t=1,position=2:7" if len(last) > MAX_SHOWN else ""
+    return text + f"for example --columns t=1,z=2{joints}"
 
 
 def _values(line: str, separator: str | None) -> list[float | None]:
@@ -132,10 +134,9 @@ def _number(value: float | None) -> str:
 def offer_by_name(names: Sequence[str]) -> str:
     """Suggest a `--columns` line made of a table's own column names."""
     meanings = [meaning_of(name) for name in names]
-    is_value = [isinstance(one, CoordinateColumn | JointColumn) for one in meanings]
     named = [at for at, name in enumerate(names) if name.strip()]
     clocks = [at for at in named if isinstance(meanings[at], TimeColumn | FrameColumn)]
-    clock = next(chain(clocks, (at for at in named if not is_value[at])), None)
+    clock = next(chain(clocks, (at for at in named if meanings[at] == UNKNOWN)), None)
     axes = {
         one.axis: _quoted(names, at)
         for at, one in reversed(list(enumerate(meanings)))
@@ -149,14 +150,16 @@ def offer_by_name(names: Sequence[str]) -> str:
         return f"{text}; where a row is a picture: --columns {said} --fps 30"
     target = "frame" if isinstance(meanings[clock], FrameColumn) else "t"
     said = f"say which they are, for example --columns {target}={_quoted(names, clock)}"
-    other = next((at for at in named if at != clock), None)
+    even = "" if clocks else "; where no column is the time and rows have an even rate: --fps 100"
+    is_joint = [isinstance(one, JointColumn) and not one.is_command for one in meanings]
+    other = max((at for at in named if at != clock), key=lambda at: is_joint[at], default=None)
     if axes or other is None:
-        return said
+        return said + even
     meaning = meanings[other]
     name = _quoted(names, other)
-    if isinstance(meaning, JointColumn) and not meaning.is_command:
-        return f"{said},{meaning.quantity}_1={name}"
-    return f"{said},z={name} for a height, position_1={name} for a joint"
+    if isinstance(meaning, JointColumn) and is_joint[other]:
+        return f"{said},{meaning.quantity}_1={name}{even}"
+    return f"{said},z={name} for a height, position_1={name} for a joint{even}"
 
 
 def _quoted(names: Sequence[str], at: int) -> str:
@@ -454,12 +457,13 @@ def _one_column(texts: Sequence[str], numbers: Sequence[str]) -> str:
 
 def _unusable(plan: ColumnPlan) -> str:
     """Return why none of a table's columns is of use."""
-    reasons = [f"{name[:60]!r}: {why}" for name, why in plan.unused.items() if name.strip()]
-    listed = "; ".join(reasons[:4]) or "it has times alone"
+    reasons = reasons_of(plan.unused)
     offer = f"; {offer_by_name(plan.names)}" if reasons or len(plan.names) == 1 else ""
     if len(plan.names) <= 3:
         offer += "; name times of impacts, if it has them: --columns times=..."
-    return f"holds no track and no torques that can be used ({listed}){offer}"
+    return (
+        f"holds no track and no torques that can be used ({reasons or 'it has times alone'}){offer}"
+    )
 
 
 def _named_by(layout: Layout, line: str) -> Layout | None:
