@@ -272,7 +272,7 @@ def choose(connected: Connected, source: ModelSource) -> Choice:
         gain, group, now = best
         rest.remove(group)
         what = " and ".join(group).replace("commands", "delay")
-        words.append(f"{what}: added, {gain:.0f} over what evidence asks for")
+        words.append(f"{what}: added, {gain:.{int(gain < 10)}f} over what evidence asks for")
     kept, dropped = _told(selection, now, terms)
     found = {one.name: float(now.values[place]) for place, one in enumerate(parameters)}
     names = {one.name for place, one in enumerate(parameters) if place in kept}

@@ -250,6 +250,9 @@ _QUANTITIES = {
 }
 # Of the numbered fields of a controller alone: elsewhere they are of other things.
 _OF_FIELDS = {"velocities": "velocity", "speed": "velocity", "moment": "effort"}
+# What the topic of a controller's state or commands says besides.
+_CONTROLLER = "controller"
+_OF_TOPICS = (_CONTROLLER, "state", "states", "data")
 # A quantity of a joint with the joint's number, perhaps: "effort3", "efforts", "q1".
 _QUANTITY = re.compile(rf"({'|'.join(sorted(_QUANTITIES, key=len, reverse=True))})s?(\d*)")
 _JOINT = ("joint", "j", "dof")  # words for any joint, beside its number
@@ -413,6 +416,10 @@ def _joint_of(
         return JointNameColumn(found[1])
     count, quantities, scale = _joint_unit(lower)
     words = words[: len(words) - count]
+    if _CONTROLLER in lower:
+        if "output" in lower:
+            return UnusedColumn("it is the controller's output, not a measurement")
+        words = tuple("velocity" if word == "velocities" else word for word in words)
     matches = [(at, _QUANTITY.fullmatch(word)) for at, word in enumerate(lowered(words))]
     at, match = next((one for one in reversed(matches) if one[1]), (0, None))
     if match is None:
@@ -508,6 +515,10 @@ def _apart(words: Words) -> tuple[str, Words]:
             return "_".join(words[: at - 1]) or "joints", words[at + 1 :]
     if lower[:2] == ("observation", "state"):  # of LeRobot's
         return "joints", words[2:]
+    if _CONTROLLER in lower[:-1]:  # of ROS's: /arm_controller/state/actual/positions[0]
+        at = lower.index(_CONTROLLER) + 1
+        rest = tuple(word for word in words[at:] if word.lower() not in _OF_TOPICS)
+        return "_".join(words[:at]), rest
     return "joints", words[1:] if lower[:1] == ("field",) else words
 
 
