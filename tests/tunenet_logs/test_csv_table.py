@@ -87,15 +87,15 @@ def test_torques_positions_and_velocities_of_joints(tmp_path: Path):
 
 
 def test_a_controller_s_topics_are_of_its_joints(tmp_path: Path):
-    topic = "/scaled_joint_trajectory_controller/controller_state"
+    topic = "/velocity_trajectory_controller/controller_state"
     fields = [f"{topic}/{what}/{name}[{at}]" for what, name, at in (
         ("reference", "positions", 0), ("reference", "positions", 1), ("feedback", "positions", 0),
         ("feedback", "positions", 1), ("feedback", "velocities", 1), ("error", "positions", 0),
-        ("output", "effort", 0))]  # fmt: skip
-    cells = "1,2,3,4,5,6,7"
+        ("feedback", "accelerations", 1), ("output", "effort", 0))]  # fmt: skip
+    cells = "1,2,3,4,5,6,7,8"
     text = f"__time,{','.join(fields)}\n0,{cells}\n1,{cells}\n"
     episode = read(tmp_path, text)
-    robot = "scaled_joint_trajectory_controller"
+    robot = "velocity_trajectory_controller"
     assert {name: one.columns for name, one in episode.signals.items()} == {
         f"{robot}.commands.position": ("joint0", "joint1"),
         f"{robot}.position": ("joint0", "joint1"),
@@ -103,7 +103,8 @@ def test_a_controller_s_topics_are_of_its_joints(tmp_path: Path):
     }
     assert episode.signals[f"{robot}.position"].values[0].tolist() == [3, 4]
     why = {one.topic: one.skipped or "" for one in episode.channels}
-    assert why[fields[-1]] == "it is the controller's output, not a measurement"
+    assert why[fields[-1]] == "it is the output of the controller, no effort of a joint"
+    assert why[fields[-2]] == "its name says no time, position (x, y, z, height) or joint torque"
 
 
 def test_a_quantity_in_two_units_is_read_once(tmp_path: Path):

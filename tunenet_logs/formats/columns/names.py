@@ -250,7 +250,7 @@ _QUANTITIES = {
 }
 # Of the numbered fields of a controller alone: elsewhere they are of other things.
 _OF_FIELDS = {"velocities": "velocity", "speed": "velocity", "moment": "effort"}
-# What the topic of a controller's state or commands says besides.
+# What the topic of a ROS controller's state or commands says besides.
 _CONTROLLER = "controller"
 _OF_TOPICS = (_CONTROLLER, "state", "states", "data")
 # A quantity of a joint with the joint's number, perhaps: "effort3", "efforts", "q1".
@@ -408,6 +408,8 @@ def _joint_of(
 ) -> JointColumn | JointNameColumn | SwitchColumn | UnusedColumn | None:
     """Interpret words as the name of a joint quantity; None if they are not."""
     lower = lowered(words)
+    if _CONTROLLER in lower[:-1]:
+        return _controlled(words)
     if lower[-2:] in _SWITCHES:
         joint = _joint_column("", _apart(words[:-2])[1], "", "", 1.0, is_command=False)
         label = "" if joint.is_bare else joint.label
@@ -416,10 +418,6 @@ def _joint_of(
         return JointNameColumn(found[1])
     count, quantities, scale = _joint_unit(lower)
     words = words[: len(words) - count]
-    if _CONTROLLER in lower:
-        if "output" in lower:
-            return UnusedColumn("it is the controller's output, not a measurement")
-        words = tuple("velocity" if word == "velocities" else word for word in words)
     matches = [(at, _QUANTITY.fullmatch(word)) for at, word in enumerate(lowered(words))]
     at, match = next((one for one in reversed(matches) if one[1]), (0, None))
     if match is None:
@@ -436,6 +434,29 @@ def _joint_of(
     others = lowered((*words[:at], *words[at + 1 :]))
     is_command = not COMMANDED.isdisjoint(map(_without_digits, others))
     return _joint_column(group, joint, match[2], quantity, scale, is_command=is_command)
+
+
+def _controlled(words: Words) -> JointColumn | UnusedColumn | None:
+    """Interpret words as a list's place in the topic of a ROS controller; None if they are not.
+
+    Such as /arm_controller/state/actual/positions[0]; /arm_position_controller/commands/data[0],
+    whose quantity is the topic's, if any says it.
+    """
+    at = lowered(words).index(_CONTROLLER) + 1
+    rest = [word for word in lowered(words[at:]) if word not in _OF_TOPICS]
+    if len(rest) < 2 or not rest[-1].isdecimal():
+        return None
+    *said, number = rest
+    is_command = not COMMANDED.isdisjoint(said)
+    said = [word for word in said if word not in COMMANDED and word not in MEASURED]
+    names = _QUANTITIES | _OF_FIELDS | {"positions": "position"}
+    if said and said[-1] not in names:
+        return None
+    quantity = next((names[word] for word in said or lowered(words[:at]) if word in names), "")
+    if len(said) > 1:  # its error or its output
+        return UnusedColumn(f"it is the {said[0]} of the controller, no {quantity} of a joint")
+    group = "_".join(words[:at])
+    return JointColumn(group, f"joint{number}", quantity, 1.0, number, is_command=is_command)
 
 
 def _joint_column(
@@ -515,10 +536,6 @@ def _apart(words: Words) -> tuple[str, Words]:
             return "_".join(words[: at - 1]) or "joints", words[at + 1 :]
     if lower[:2] == ("observation", "state"):  # of LeRobot's
         return "joints", words[2:]
-    if _CONTROLLER in lower[:-1]:  # of ROS's: /arm_controller/state/actual/positions[0]
-        at = lower.index(_CONTROLLER) + 1
-        rest = tuple(word for word in words[at:] if word.lower() not in _OF_TOPICS)
-        return "_".join(words[:at]), rest
     return "joints", words[1:] if lower[:1] == ("field",) else words
 
 
