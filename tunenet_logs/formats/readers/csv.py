@@ -142,15 +142,16 @@ def offer_by_name(names: Sequence[str]) -> str:
         for at, one in reversed(list(enumerate(meanings)))
         if isinstance(one, CoordinateColumn)
     }
+    even = "; where rows have an even rate, say it: --fps 100"
     if clock is None:  # positions alone: a row may be a frame
         text = "add a column of times (t) or of the numbers of frames (frame)"
         said = ",".join(f"{'xyz'[axis]}={name}" for axis, name in sorted(axes.items()))
         if not said:
-            return f"{text}; where rows have an even rate, say it: --fps 100"
+            return f"{text}{even}"
         return f"{text}; where a row is a picture: --columns {said} --fps 30"
     target = "frame" if isinstance(meanings[clock], FrameColumn) else "t"
     said = f"say which they are, for example --columns {target}={_quoted(names, clock)}"
-    even = "" if clocks else "; where no column is the time and rows have an even rate: --fps 100"
+    even = "" if clocks else even
     is_joint = [isinstance(one, JointColumn) and not one.is_command for one in meanings]
     other = max((at for at in named if at != clock), key=lambda at: is_joint[at], default=None)
     if axes or other is None:
