@@ -95,7 +95,7 @@ def test_a_controller_s_topics_are_of_its_joints(tmp_path: Path):
     cells = "1,2,3,4,5,6,7,8"
     text = f"__time,{','.join(fields)}\n0,{cells}\n1,{cells}\n"
     episode = read(tmp_path, text)
-    robot = "velocity_trajectory_controller"
+    robot = "velocity_trajectory_controller/state"
     assert {name: one.columns for name, one in episode.signals.items()} == {
         f"{robot}.commands.position": ("joint0", "joint1"),
         f"{robot}.position": ("joint0", "joint1"),

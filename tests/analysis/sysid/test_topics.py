@@ -233,6 +233,7 @@ def test_plain_numbers_command_by_order():
         ("/joint_commands", True),
         ("/desired/joint_states", False),
         ("/joint_trajectory_controller/joint_states", False),
+        ("joint_trajectory_controller/state", False),
         ("/joint_states_desired", True),
         ("/cmd/joints", True),
         ("/commander/measured", False),

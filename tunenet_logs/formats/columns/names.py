@@ -455,7 +455,8 @@ def _controlled(words: Words) -> JointColumn | UnusedColumn | None:
     quantity = next((names[word] for word in said or lowered(words[:at]) if word in names), "")
     if len(said) > 1:  # its error or its output
         return UnusedColumn(f"it is the {said[0]} of the controller, no {quantity} of a joint")
-    group = "_".join(words[:at])
+    # "state" tells the states of a trajectory's controller from a trajectory
+    group = "_".join(words[:at]) + "/state" * ("state" in lowered(words[at:]))
     return JointColumn(group, f"joint{number}", quantity, 1.0, number, is_command=is_command)
 
 
