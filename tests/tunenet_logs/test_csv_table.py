@@ -107,6 +107,30 @@ def test_a_controller_s_topics_are_of_its_joints(tmp_path: Path):
     assert why[fields[-2]] == "its name says no time, position (x, y, z, height) or joint torque"
 
 
+@pytest.mark.parametrize(
+    ("ids", "columns", "step"),
+    [
+        ("motor_id:1,2", ("motor1", "motor2"), 2),  # all at one time
+        ("motor_id:1,2", ("motor1", "motor2"), 1),  # in turn
+        ("joint_name:hip,knee", ("hip", "knee"), 2),
+        ("device:hip,knee", ("hip", "knee"), 2),  # told by times that stand twice
+    ],
+)
+def test_joints_below_each_other_are_columns(
+    tmp_path: Path, ids: str, columns: tuple[str, ...], step: int
+):
+    name, _, listed = ids.partition(":")
+    rows = [f"{n // step},{listed.split(',')[n % 2]},{n},{n + 0.5}\n" for n in range(12)]
+    episode = read(tmp_path, f"t,{name},position,target_position\n{''.join(rows)}")
+    assert set(episode.signals) == {"joints.position", "commands.position"}
+    for signal, offset in (("joints.position", 0), ("commands.position", 0.5)):
+        found = episode.signals[signal]
+        assert found.columns == columns
+        for place in range(2):
+            own = found.values[:, place]
+            assert own[np.isfinite(own)].tolist() == [n + offset for n in range(place, 12, 2)]
+
+
 def test_a_quantity_in_two_units_is_read_once(tmp_path: Path):
     header = "t,elbow_pos_deg,elbow_pos_rad,elbow_pos_last,elbow_vel,elbow_vel"
     episode = read(tmp_path, f"{header}\n0,180,3.14,0,1,2\n1,90,1.57,3,1,2\n")

@@ -230,6 +230,8 @@ _RUNS = {
 }
 # Columns beside which coordinates without a unit are in pixels: SLEAP's analysis of a film.
 IN_PIXELS = frozenset(("instance.score",))
+# What joints are called in a table that stacks them: "motor_id".
+_STACKED_JOINTS = words_in("joint motor servo actuator dof")
 # What frames are called.
 _FRAMES = frozenset(("frame", "frames", "framenumber", "frameno", "frameindex", "frameid"))
 # What impacts are called.
@@ -337,6 +339,8 @@ def _number_of(lower: Words) -> FrameColumn | ImpactNumberColumn | RunColumn | N
     bare = lower[:-1] if len(lower) > 1 and lower[-1] in (*_NUMBERS, "name", "label") else lower
     if "".join(bare) in _RUNS:
         return RunColumn(_RUNS["".join(bare)])
+    if len(bare) == 1 and bare != lower and bare[0] in _STACKED_JOINTS:
+        return RunColumn(bare[0])
     if len(bare) == 2 and bare[0] in ("video", "movie", "image"):
         bare = bare[1:]
     if len(bare) != 1:

@@ -1204,6 +1204,9 @@ def _add(
         parts = [("", slice(None))]
     else:
         parts = rows_of_runs(arrivals, runs, rows.names)
+    if rows.note and stamps is None and group.columns == _ONE_JOINT and len(parts) > 1:
+        group, arrivals, values = _beside_each_other(group, parts, arrivals, values)
+        parts = [("", slice(None))]
     if len(parts) > 1 and isinstance(parts[0][1], slice):
         made.notes.append(
             f"{group.name}: its times begin again {len(parts) - 1} times: runs, or a clock that "
@@ -1239,6 +1242,28 @@ def _add(
             f"{group.name}: {incomplete} samples without all coordinates were left out"
         )
     return len(parts)
+
+
+_ONE_JOINT = ("joint1",)  # columns that do not say which joint they are of
+_MAX_STACKED = 20_000_000  # values of joints that a table stacks
+
+
+def _beside_each_other(
+    group: Group,
+    parts: Sequence[tuple[str, RowSet]],
+    arrivals: NDArray[np.int64],
+    values: NDArray[np.float64],
+) -> tuple[Group, NDArray[np.int64], NDArray[np.float64]]:
+    """Make one signal of joints that a table stacks: a column each, NaN where another is told."""
+    stamps = np.unique(arrivals)
+    if len(stamps) * len(parts) > _MAX_STACKED:
+        raise ValueError(
+            f"{len(parts)} joints at {len(stamps)} times are too many; take a shorter part"
+        )
+    beside = np.full((len(stamps), len(parts)), np.nan)
+    for place, (_, own) in enumerate(parts):
+        beside[np.searchsorted(stamps, arrivals[own]), place] = values[own, 0]
+    return replace(group, columns=tuple(name for name, _ in parts)), stamps, beside
 
 
 def _values_of(
