@@ -172,7 +172,7 @@ def lowered(words: Words) -> Words:
 # What a time is called, beside t and bare units.
 _TIMES = words_in(
     "time times stamp timestamp timestamps elapsed rosbagtimestamp datetime zeit zeitstempel "
-    "uhrzeit temps tiempo tempo tijd"
+    "uhrzeit temps tiempo tempo tijd ts unix epoch unixtime"
 )
 _DATES = frozenset(("date", "datum", "fecha"))  # what a date is called
 _NO_TIMES = frozenset(("delta", "diff", "step"))  # words that make it a time between two rows
