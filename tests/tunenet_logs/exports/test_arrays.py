@@ -256,6 +256,17 @@ def test_joints_of_an_arm(tmp_path: Path, name: str):
         assert "obs.agentview_image.demo_0" in skipped(episode)
 
 
+@pytest.mark.parametrize("name", ["a.npz", "a.json"])
+def test_a_list_of_names_is_of_the_joints_beside_it(tmp_path: Path, name: str):
+    """Two or three columns of positions would be a place otherwise."""
+    places = np.sin(np.add.outer(4 * T, [0.0, 1.0]))
+    arrays = {"time": T, "positions": places, "commands": places + 0.01}
+    signals = read(tmp_path / name, {"joint_names": ["hip", "knee"], **arrays}).signals
+    assert set(signals) == {"joints.position", "commands.position"}
+    assert {one.columns for one in signals.values()} == {("hip", "knee")}
+    np.testing.assert_allclose(signals["joints.position"].values, places)
+
+
 def test_data_sets_in_groups_are_named_by_their_paths(tmp_path: Path):
     times, places = drop()
     write_hdf5(tmp_path / "a.h5", {"lab/clock": times, "lab/wand": places, "note": b"red"})

@@ -1354,6 +1354,8 @@ _RATES = frozenset(("fps", "fs", "hz", "rate", "sampling_rate", "sample_rate", "
 _PERIODS = frozenset(("dt", "ts", "timestep", "time_step", "sample_time", "period"))
 # Words behind a name that only say that there are many values.
 _LISTS = frozenset(("list", "arr", "array", "data", "vec", "hist", "history", "log", "values"))
+# What a list of the joints of the other arrays is called.
+_NAMED = {(what, "names") for what in ("joint", "dof", "motor", "servo", "actuator")}
 Arrays = Mapping[str, NDArray[Any]]  # arrays by their names
 _NAME_THEM = "save a table of time and x, y, z, or say which is which with --columns t=..,z=.."
 
@@ -1384,6 +1386,8 @@ def episode_of_table(path: Path, table: Table, options: ReadOptions) -> Episode:
         plain |= {} if fields else {name: array}
     left_out = dict(table.unused)
     count = _length(plain, options)
+    named, joints = _joint_names(plain)
+    plain.pop(named, None)
     names: list[str] = []
     meant: list[str] = []
     columns: list[NDArray[Any]] = []
@@ -1395,7 +1399,11 @@ def episode_of_table(path: Path, table: Table, options: ReadOptions) -> Episode:
             continue
         if rows.ndim == 2:
             names += spread_names(name, rows.shape[1])[0]
-            meant += spread_names(_bare(name), rows.shape[1])[1]
+            of_joints = [f"{joint} {_bare(name)}" for joint in joints]
+            if len(joints) == rows.shape[1] and all(map(_is_joint, of_joints)):
+                meant += of_joints
+            else:
+                meant += spread_names(_bare(name), rows.shape[1])[1]
             columns.extend(rows.T)
         else:
             names.append(name)
@@ -1570,6 +1578,24 @@ def _rows(array: NDArray[Any], count: int) -> NDArray[Any] | str:
         return rows
     shape = " x ".join(map(str, array.shape))
     return f"its shape {shape} has not the {count} rows that there are times"
+
+
+def _joint_names(arrays: Arrays) -> tuple[str, Sequence[str]]:
+    """Return which array names the joints, and their names; "" and none where none does."""
+    for name, array in arrays.items():
+        if (
+            array.dtype.kind == "U"
+            and 1 < array.size <= MAX_WIDTH
+            and plain_words(name)[-2:] in _NAMED
+        ):
+            joints = [str(one) for one in array.ravel().tolist()]
+            if len(set(joints)) == len(joints):
+                return name, joints
+    return "", ()
+
+
+def _is_joint(name: str) -> bool:
+    return isinstance(meaning_of(name), JointColumn)
 
 
 def _rate(arrays: Arrays) -> float | None:
