@@ -86,6 +86,28 @@ def test_torques_positions_and_velocities_of_joints(tmp_path: Path):
     assert (units["joints.effort"], units["joints.velocity"]) == ("N·m", "rad/s")
 
 
+@pytest.mark.parametrize(
+    ("place", "command", "columns"),
+    [
+        ("qpos[{}]", "ctrl[{}]", ("joint1", "joint2")),  # MuJoCo's own names
+        ("Servo{} Actual (rad)", "Servo{} Cmd (rad)", ("Servo0", "Servo1")),
+        ("joint_positions[{}]", "joint_targets[{}]", ("joint1", "joint2")),
+        ("hip{}_measured (rad)", "hip{}_setpoint (rad)", ("hip0", "hip1")),
+    ],
+)
+def test_names_of_joints_and_their_commands(
+    tmp_path: Path, place: str, command: str, columns: tuple[str, ...]
+):
+    header = ",".join(name.format(at) for name in (place, command) for at in range(2))
+    rows = "".join(f"{n},{n},{n + 3},{n + 0.1},{n + 3.1}\n" for n in range(9))
+    signals = read(tmp_path, f"t,{header}\n{rows}").signals
+    assert {name: (one.columns, one.drives) for name, one in signals.items()} == {
+        "joints.position": (columns, False),
+        "commands.position": (columns, True),
+    }
+    assert signals["joints.position"].values[1].tolist() == [1, 4]
+
+
 def test_a_controller_s_topics_are_of_its_joints(tmp_path: Path):
     topic = "/velocity_trajectory_controller/controller_state"
     fields = [f"{topic}/{what}/{name}[{at}]" for what, name, at in (

@@ -246,8 +246,8 @@ JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N·m", "curren
 # What JointState calls them, and the current of a joint's motor.
 _QUANTITIES = {
     **dict.fromkeys(("effort", "torque", "tau", "trq", "tor"), "effort"),
-    **dict.fromkeys(("position", "pos", "angle", "theta", "q"), "position"),
-    **dict.fromkeys(("velocity", "vel", "qdot", "qd", "dq"), "velocity"),
+    **dict.fromkeys(("position", "pos", "angle", "theta", "q", "qpos"), "position"),
+    **dict.fromkeys(("velocity", "vel", "qdot", "qd", "dq", "qvel"), "velocity"),
     "current": "current",
 }
 # Of the numbered fields of a controller alone: elsewhere they are of other things.
@@ -260,11 +260,11 @@ _QUANTITY = re.compile(rf"({'|'.join(sorted(_QUANTITIES, key=len, reverse=True))
 _JOINT = ("joint", "j", "dof")  # words for any joint, beside its number
 # Words of commanded quantities.
 COMMANDED = words_in(
-    "target tgt desired des command commands commanded cmd setpoint goal reference ref planned "
-    "action actions ctrl"
+    "target targets tgt desired des command commands commanded cmd setpoint setpoints goal goals "
+    "reference ref planned action actions ctrl"
 )
 # Of these, words of lists of joints' commands, whose places are joints even where they are three.
-_COMMAND_LISTS = words_in("action actions ctrl command commands cmd")
+_COMMAND_LISTS = words_in("action actions ctrl command commands cmd targets goals setpoints")
 # Why a command is not used whose joint the file does not have.
 ASKED_OF_NONE = "it is what was asked for, and no joint here is called so"
 # Words of a controller's estimates: a torque without the arm's own, or computed by its model.
@@ -425,7 +425,7 @@ def _joint_of(
     matches = [(at, _QUANTITY.fullmatch(word)) for at, word in enumerate(lowered(words))]
     at, match = next((one for one in reversed(matches) if one[1]), (0, None))
     if match is None:
-        return None if count else _command_of(words)
+        return _by_unit(words, quantities[0], scale) if count else _command_of(words)
     quantity = _QUANTITIES[match[1]]
     if quantity not in quantities or (not count and lower[-1] in LENGTHS):
         return UnusedColumn(
@@ -490,6 +490,16 @@ def _command_of(words: Words) -> JointColumn | None:
     if _NO_JOINTS.intersection(lowered(joint)) or not MODELLED.isdisjoint(lowered(joint)):
         return None
     return _joint_column(group, joint, "", "", 1.0, is_command=True)
+
+
+def _by_unit(words: Words, quantity: str, scale: float) -> JointColumn | None:
+    """Interpret words before a joint's unit that only say who says it: "Servo1 Actual (deg)"."""
+    group, joint = _apart(words)
+    is_command = not COMMANDED.isdisjoint(map(_without_digits, lowered(joint)))
+    if MEASURED.isdisjoint(lowered(joint)) and not is_command:
+        return None
+    joint = tuple(word for word in joint if word.lower() not in MEASURED)
+    return _joint_column(group, joint, "", quantity, scale, is_command=is_command)
 
 
 def _without_digits(word: str) -> str:
