@@ -91,6 +91,7 @@ def test_torques_positions_and_velocities_of_joints(tmp_path: Path):
     [
         ("qpos[{}]", "ctrl[{}]", ("joint1", "joint2")),  # MuJoCo's own names
         ("Servo{} Actual (rad)", "Servo{} Cmd (rad)", ("Servo0", "Servo1")),
+        ("Axis{}.ActPos", "Axis{}.SetPos", ("Axis0", "Axis1")),  # TwinCAT's
         ("joint_positions[{}]", "joint_targets[{}]", ("joint1", "joint2")),
         ("hip{}_measured (rad)", "hip{}_setpoint (rad)", ("hip0", "hip1")),
     ],

@@ -245,7 +245,7 @@ _NO_THINGS = words_in(
 JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N·m", "current": "A"}
 # What JointState calls them, and the current of a joint's motor.
 _QUANTITIES = {
-    **dict.fromkeys(("effort", "torque", "tau", "trq", "tor"), "effort"),
+    **dict.fromkeys(("effort", "eff", "torque", "tau", "trq", "tor"), "effort"),
     **dict.fromkeys(("position", "pos", "angle", "theta", "q", "qpos"), "position"),
     **dict.fromkeys(("velocity", "vel", "qdot", "qd", "dq", "qvel"), "velocity"),
     "current": "current",
@@ -260,8 +260,8 @@ _QUANTITY = re.compile(rf"({'|'.join(sorted(_QUANTITIES, key=len, reverse=True))
 _JOINT = ("joint", "j", "dof")  # words for any joint, beside its number
 # Words of commanded quantities.
 COMMANDED = words_in(
-    "target targets tgt desired des command commands commanded cmd setpoint setpoints goal goals "
-    "reference ref planned action actions ctrl"
+    "target targets tgt desired des command commands commanded cmd set setpoint setpoints goal "
+    "goals reference ref planned action actions ctrl soll sollwert"
 )
 # Of these, words of lists of joints' commands, whose places are joints even where they are three.
 _COMMAND_LISTS = words_in("action actions ctrl command commands cmd targets goals setpoints")
@@ -273,7 +273,7 @@ MODELLED = words_in(
     "calculated calc"
 )
 # Words of measured quantities.
-MEASURED = frozenset(("actual", "act", "measured", "meas", "msr", "feedback", "fb", "present"))
+MEASURED = words_in("actual act measured meas msr feedback fb present ist istwert")
 # Words that make a joint's quantity another one.
 _NO_JOINTS = words_in(
     "deviation ratio error err limit limits percent percentage std stddev var variance cov "
