@@ -91,6 +91,8 @@ def test_torques_positions_and_velocities_of_joints(tmp_path: Path):
     [
         ("qpos[{}]", "ctrl[{}]", ("joint1", "joint2")),  # MuJoCo's own names
         ("Servo{} Actual (rad)", "Servo{} Cmd (rad)", ("Servo0", "Servo1")),
+        ("hip_{}", "hip_{}_cmd", ("hip_0", "hip_1")),
+        ("actual_{}_l", "desired_{}_l", ("0_l", "1_l")),
         ("Axis{}.ActPos", "Axis{}.SetPos", ("Axis0", "Axis1")),  # TwinCAT's
         ("joint_positions[{}]", "joint_targets[{}]", ("joint1", "joint2")),
         ("hip{}_measured (rad)", "hip{}_setpoint (rad)", ("hip0", "hip1")),
@@ -107,6 +109,12 @@ def test_names_of_joints_and_their_commands(
         "commands.position": (columns, True),
     }
     assert signals["joints.position"].values[1].tolist() == [1, 4]
+
+
+@pytest.mark.parametrize("name", ["pressure", "heater_temp", "speed", "pump_power", "grip_force"])
+def test_a_command_makes_no_joint_of_what_is_none(tmp_path: Path, name: str):
+    text = f"t,z,{name},{name}_setpoint\n0,1,2,3\n1,1,2,4\n"
+    assert list(read(tmp_path, text).signals) == ["track"]
 
 
 def test_a_controller_s_topics_are_of_its_joints(tmp_path: Path):

@@ -281,6 +281,10 @@ _NO_JOINTS = words_in(
     "counts ticks rev revs w quat quaternion enable enabled disable disabled on off switch flag "
     "valid fault reached gain gains kp ki kd last prev previous"
 )
+# Words of quantities that are no position of a joint, even where their command stands beside them.
+_NOT_BARE = (
+    _NO_JOINTS | _OTHERS | words_in("pressure power pwm duty flow level thrust throttle load")
+)
 # What the switches of motors are called.
 _SWITCHES = {
     (what, word)
@@ -500,6 +504,25 @@ def _by_unit(words: Words, quantity: str, scale: float) -> JointColumn | None:
         return None
     joint = tuple(word for word in joint if word.lower() not in MEASURED)
     return _joint_column(group, joint, "", quantity, scale, is_command=is_command)
+
+
+def with_counterparts(meanings: Mapping[int, Meaning], names: Sequence[str]) -> dict[int, Meaning]:
+    """Take what is called as a command is, without its words, for that joint's position.
+
+    Such as `hip` or `actual_hip` beside `hip_cmd`.
+    """
+    found = dict(meanings)
+    commands = {
+        one.label: one.group
+        for one in meanings.values()
+        if isinstance(one, JointColumn) and one.is_command and not (one.quantity or one.is_bare)
+    }
+    for at, one in meanings.items() if commands else ():
+        words = words_of(names[at], camel=False)
+        joint = "_".join(word for word in words if word.lower() not in MEASURED)
+        if one == UNKNOWN and joint in commands and _NOT_BARE.isdisjoint(lowered(words)):
+            found[at] = JointColumn(commands[joint], joint, "position", 1.0)
+    return found
 
 
 def _without_digits(word: str) -> str:

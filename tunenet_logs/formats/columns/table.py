@@ -88,6 +88,7 @@ from tunenet_logs.formats.columns.names import (
     short_list,
     spread_names,
     states_angle,
+    with_counterparts,
     with_franka_times,
     without_joint_unit,
     words_of,
@@ -335,6 +336,7 @@ def layout_of(
     taken = {at for one in fields for at in one.columns.values()}
     taken |= {at for at, name in enumerate(names) if fields and joint_fields([name])}
     meanings = {at: reading(at, name) for at, name in enumerate(plain)}
+    meanings = with_counterparts(meanings, plain) if reading is by_name else meanings
     unused = {
         names[at]: meaning.reason
         for at, meaning in meanings.items()
