@@ -821,7 +821,7 @@ class Match:
         """Return an order that names the log's own signals and the model's own parts."""
         for name, signal in self._episode.signals.items():
             if quantity_of(name) and joints:
-                example = f"--map {name}.{signal.columns[0]}=joint/{joints[0]}"
+                example = f"--map {signal.columns[0]}=joint/{joints[0]}"
             elif not quantity_of(name) and bodies:
                 example = f"--map {name}=body/{bodies[0]}"
             else:
