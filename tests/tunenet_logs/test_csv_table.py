@@ -86,6 +86,16 @@ def test_torques_positions_and_velocities_of_joints(tmp_path: Path):
     assert (units["joints.effort"], units["joints.velocity"]) == ("N·m", "rad/s")
 
 
+def test_a_joint_that_is_told_twice_at_one_time_is_counted(tmp_path: Path):
+    rows = "".join(f"{n // 3},{'aba'[n % 3]},{n / 10}\n" for n in range(30))
+    episode = read(tmp_path, f"t,joint_name,position\n{rows}")
+    signal = episode.signals["joints.position"]
+    assert signal.values[1].tolist() == [0.3, 0.4]
+    assert sum(signal.left_out.values()) == 10
+    said = "joints.position, a: 10 samples with a stamp already seen were left out"
+    assert said in episode.warnings
+
+
 @pytest.mark.parametrize(
     ("place", "command", "columns"),
     [
@@ -154,6 +164,10 @@ def test_joints_below_each_other_are_columns(
     rows = [f"{n // step},{listed.split(',')[n % 2]},{n},{n + 0.5}\n" for n in range(12)]
     episode = read(tmp_path, f"t,{name},position,target_position\n{''.join(rows)}")
     assert set(episode.signals) == {"joints.position", "commands.position"}
+    if name != "device":  # needs no command to be joints'
+        rows = [row.rpartition(",")[0] + "\n" for row in rows]
+        alone = one(tmp_path, f"t,{name},position\n{''.join(rows)}")
+        assert (alone.name, alone.columns) == ("joints.position", columns)
     for signal, offset in (("joints.position", 0), ("commands.position", 0.5)):
         found = episode.signals[signal]
         assert found.columns == columns

@@ -354,6 +354,11 @@ def _number_of(lower: Words) -> FrameColumn | ImpactNumberColumn | RunColumn | N
     return FrameColumn() if bare[0] in _FRAMES else None
 
 
+def is_of_joints(meaning: Meaning) -> bool:
+    """Return whether a column says which joint a row is of."""
+    return isinstance(meaning, RunColumn) and meaning.kind in _STACKED_JOINTS
+
+
 def _time(name: str, lower: Words) -> TimeColumn | DateColumn | None:
     if len(lower) == 1 and lower[0] in _DATES:
         return DateColumn()

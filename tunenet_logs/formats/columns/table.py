@@ -78,6 +78,7 @@ from tunenet_logs.formats.columns.names import (
     choose_fields,
     contradiction_of,
     is_controllers,
+    is_of_joints,
     joint_fields,
     lowered,
     meaning_of,
@@ -477,6 +478,7 @@ def joints_of(
     has_bare = any(one.is_bare for one in states)
     is_servo = any(one.is_bare and one.is_command for one in values.values())
     is_servo = is_servo and any(one.is_bare and one.quantity == "position" for one in states)
+    is_servo |= any(is_of_joints(one) for one in meanings.values())  # rows say of which joint
     if not is_servo and all(one.is_bare and one.quantity != "effort" for one in states):
         for at in [at for at, one in values.items() if one.is_bare]:
             unused[header[at]] = ASKED_OF_NONE if values.pop(at).is_command else _BARE
@@ -1206,15 +1208,17 @@ def _add(
         parts = [("", slice(None))]
     else:
         parts = rows_of_runs(arrivals, runs, rows.names)
+    lost = {UNREADABLE: int(np.count_nonzero(is_seen & ~times.known))}
     if rows.note and stamps is None and group.columns == _ONE_JOINT and len(parts) > 1:
-        group, arrivals, values = _beside_each_other(group, parts, arrivals, values)
-        parts = [("", slice(None))]
+        group, arrivals, values, more = _beside_each_other(
+            group, parts, arrivals, values, made.notes
+        )
+        parts, lost = [("", slice(None))], added(lost, more)
     if len(parts) > 1 and isinstance(parts[0][1], slice):
         made.notes.append(
             f"{group.name}: its times begin again {len(parts) - 1} times: runs, or a clock that "
             "was set back; each is a signal by itself; see --topic"
         )
-    lost = {UNREADABLE: int(np.count_nonzero(is_seen & ~times.known))}
     for run, part in parts:
         name = run if plan.is_stacked and run else name_of_run(group.name, run)
         own = arrivals[part]
@@ -1255,17 +1259,24 @@ def _beside_each_other(
     parts: Sequence[tuple[str, RowSet]],
     arrivals: NDArray[np.int64],
     values: NDArray[np.float64],
-) -> tuple[Group, NDArray[np.int64], NDArray[np.float64]]:
-    """Make one signal of joints that a table stacks: a column each, NaN where another is told."""
-    stamps = np.unique(arrivals)
+    notes: list[str],
+) -> tuple[Group, NDArray[np.int64], NDArray[np.float64], dict[str, int]]:
+    """Make one signal of joints that a table stacks: a column each, NaN where another is told.
+
+    Returned with the samples that are left out, by reason.
+    """
+    orders = [sorted_stamps(arrivals[own], (values[own],)) for _, own in parts]
+    stamps = np.unique(np.concatenate([one.stamps_ns for one in orders]))
     if len(stamps) * len(parts) > _MAX_STACKED:
         raise ValueError(
             f"{len(parts)} joints at {len(stamps)} times are too many; take a shorter part"
         )
-    beside = np.full((len(stamps), len(parts)), np.nan)
-    for place, (_, own) in enumerate(parts):
-        beside[np.searchsorted(stamps, arrivals[own]), place] = values[own, 0]
-    return replace(group, columns=tuple(name for name, _ in parts)), stamps, beside
+    beside, lost = np.full((len(stamps), len(parts)), np.nan), dict[str, int]()
+    for place, ((name, own), order) in enumerate(zip(parts, orders, strict=True)):
+        beside[np.searchsorted(stamps, order.stamps_ns), place] = values[own][order.keep, 0]
+        notes.extend(f"{group.name}, {name}: {repair}" for repair in order.notes)
+        lost = added(lost, order.left_out)
+    return replace(group, columns=tuple(name for name, _ in parts)), stamps, beside, lost
 
 
 def _values_of(
@@ -1591,7 +1602,7 @@ def _joint_names(arrays: Arrays) -> tuple[str, Sequence[str]]:
             and plain_words(name)[-2:] in _NAMED
         ):
             joints = [str(one) for one in array.ravel().tolist()]
-            if len(set(joints)) == len(joints):
+            if len(set(joints)) == len(joints) and all(map(str.strip, joints)):
                 return name, joints
     return "", ()
 
