@@ -20,7 +20,9 @@ from tests.strangers import Stranger, write_poses, write_poses_folder, write_tab
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import EpisodeInfo
-from tunenet_logs.formats.columns.table import rows_of_runs
+from tunenet_logs.formats.columns.signals import (
+    rows_of_runs,
+)
 from tunenet_logs.media import StoredTimes, clock_of
 from tunenet_logs.reader import read_episode
 from tunenet_logs.timing.arrivals import (

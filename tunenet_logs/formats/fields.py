@@ -38,13 +38,15 @@ from tunenet_logs.formats.base import (
 )
 from tunenet_logs.formats.columns.cells import MAX_NS, Clock
 from tunenet_logs.formats.columns.names import JOINT_UNITS
-from tunenet_logs.formats.columns.table import (
+from tunenet_logs.formats.columns.plan import (
     ColumnPlan,
-    ColumnRows,
     Group,
-    Times,
     Used,
     fitted,
+)
+from tunenet_logs.formats.columns.signals import (
+    ColumnRows,
+    Times,
     signals_of,
 )
 from tunenet_logs.formats.decoders import MAX_TYPE_DEPTH, Decoders

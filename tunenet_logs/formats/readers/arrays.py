@@ -31,6 +31,12 @@ from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.files import open_regular, open_regular_text
 from tunenet_logs.formats.columns.cells import MAX_COLUMNS, UNIT_ROWS, number_of, text_encoding
 from tunenet_logs.formats.columns.names import spread_names
+from tunenet_logs.formats.columns.plan import (
+    plan_columns,
+)
+from tunenet_logs.formats.columns.signals import (
+    told_apart,
+)
 from tunenet_logs.formats.columns.table import (
     MAX_ARRAY_BYTES,
     MAX_ROWS,
@@ -39,8 +45,6 @@ from tunenet_logs.formats.columns.table import (
     episode_of_columns,
     episode_of_table,
     number_names,
-    plan_columns,
-    told_apart,
 )
 from tunenet_logs.formats.kinds import Start
 from tunenet_logs.formats.options import ReadOptions

@@ -70,19 +70,23 @@ from tunenet_logs.formats.columns.names import (
     with_row,
     with_units,
 )
-from tunenet_logs.formats.columns.table import (
-    MAX_ROWS,
-    MAX_WIDTH,
+from tunenet_logs.formats.columns.plan import (
     ROWS,
     ColumnPlan,
+    fitted,
+    layout_of,
+    said_by,
+)
+from tunenet_logs.formats.columns.signals import (
     ColumnRows,
     RunNames,
     Times,
     episode_of_rows,
-    fitted,
-    layout_of,
-    said_by,
     told_apart,
+)
+from tunenet_logs.formats.columns.table import (
+    MAX_ROWS,
+    MAX_WIDTH,
 )
 from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
 

@@ -16,7 +16,14 @@ import numpy as np
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import LogError, pip_install
-from tunenet_logs.formats.columns.table import Table, episode_of_table, name_of_run, number_names
+from tunenet_logs.formats.columns.plan import (
+    name_of_run,
+)
+from tunenet_logs.formats.columns.table import (
+    Table,
+    episode_of_table,
+    number_names,
+)
 from tunenet_logs.formats.kinds import Start, is_hdf5
 from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.formats.readers import sandboxed

@@ -28,14 +28,16 @@ from tunenet_logs.formats.columns.cells import (
     unended,
 )
 from tunenet_logs.formats.columns.names import LENGTHS
-from tunenet_logs.formats.columns.table import (
-    MAX_PLACES,
+from tunenet_logs.formats.columns.signals import (
     exact_seconds,
     export_episode,
     frame_stamps,
     in_metres,
     time_stamps,
     unique_names,
+)
+from tunenet_logs.formats.columns.table import (
+    MAX_PLACES,
 )
 from tunenet_logs.formats.kinds import Start
 from tunenet_logs.formats.options import ReadOptions

@@ -28,13 +28,17 @@ from tunenet_logs.formats.columns.names import (
     meaning_of,
     spread_names,
 )
-from tunenet_logs.formats.columns.table import (
+from tunenet_logs.formats.columns.plan import (
     ColumnPlan,
     Group,
     Used,
-    episode_of_columns,
-    exact_seconds,
     plan_columns,
+)
+from tunenet_logs.formats.columns.signals import (
+    exact_seconds,
+)
+from tunenet_logs.formats.columns.table import (
+    episode_of_columns,
 )
 from tunenet_logs.formats.kinds import Start, foreign_kind, start_of
 from tunenet_logs.formats.options import ReadOptions

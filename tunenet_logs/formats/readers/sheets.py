@@ -35,7 +35,11 @@ from tunenet_logs.formats.columns.names import (
     short_list,
     without_run,
 )
-from tunenet_logs.formats.columns.table import export_episode, time_stamps, unique_names
+from tunenet_logs.formats.columns.signals import (
+    export_episode,
+    time_stamps,
+    unique_names,
+)
 from tunenet_logs.formats.kinds import Start, start_of
 from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.formats.readers import sandboxed

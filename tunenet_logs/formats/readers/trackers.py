@@ -34,17 +34,21 @@ from tunenet_logs.formats.columns.cells import (
     lines_of,
 )
 from tunenet_logs.formats.columns.names import LENGTHS, POWERS, lowered, words_of
-from tunenet_logs.formats.columns.table import (
-    MAX_ROWS,
-    MAX_TRACKS,
+from tunenet_logs.formats.columns.plan import (
     ROWS,
     ColumnPlan,
-    ColumnRows,
     Group,
-    Times,
     Used,
+)
+from tunenet_logs.formats.columns.signals import (
+    MAX_TRACKS,
+    ColumnRows,
+    Times,
     episode_of_rows,
     unique_names,
+)
+from tunenet_logs.formats.columns.table import (
+    MAX_ROWS,
 )
 from tunenet_logs.formats.kinds import Start, start_of
 from tunenet_logs.formats.options import ReadOptions
