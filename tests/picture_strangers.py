@@ -186,6 +186,8 @@ def write_video_file(path: Path, pictures: Taken, codec: str, rate_hz: int, **op
     """A video file of H.264 or the like, its stamps those of the pictures to 1/90000 s."""
     clock = Fraction(1, rate_hz if path.suffix == ".avi" else 90_000)
     pixel_format = options.pop("pix_fmt", "yuv420p")
+    if codec == "libx264":  # else its pictures are others at each run
+        options["x264-params"] = "threads=1:no-asm=1"
     with av.open(str(path), "w") as container:
         stream: Any = container.add_stream(codec, rate=rate_hz, options=options)
         first_ns: int | None = None
