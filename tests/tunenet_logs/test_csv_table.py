@@ -202,6 +202,7 @@ def test_joints_in_a_row_are_named_by_their_first_and_last_column(tmp_path: Path
             "/joint_states/joint1/effort", "/joint_states/effort[1]", "tau_J_1", "field.effort1",
             "effort_1", "joint1_effort (N·m)", "joint_1_effort", "effort")),
         ("shoulder_lift_joint.effort", ("shoulder_lift_joint",)),
+        ("hip_controller_torque", ("hip_controller",)),
         ("field.name0,field.name1,field.effort0,field.effort1", ("elbow", "wrist")),
     ],
 )  # fmt: skip

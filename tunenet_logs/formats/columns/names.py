@@ -421,7 +421,7 @@ def _joint_of(
 ) -> JointColumn | JointNameColumn | SwitchColumn | UnusedColumn | None:
     """Interpret words as the name of a joint quantity; None if they are not."""
     lower = lowered(words)
-    if _CONTROLLER in lower[:-1]:
+    if _CONTROLLER in lower[:-1] and (lower[-1].isdecimal() or not _has_quantity(lower)):
         return _controlled(words)
     if lower[-2:] in _SWITCHES:
         joint = _joint_column("", _apart(words[:-2])[1], "", "", 1.0, is_command=False)
@@ -447,6 +447,11 @@ def _joint_of(
     others = lowered((*words[:at], *words[at + 1 :]))
     is_command = not COMMANDED.isdisjoint(map(_without_digits, others))
     return _joint_column(group, joint, match[2], quantity, scale, is_command=is_command)
+
+
+def _has_quantity(lower: Words) -> bool:
+    """Return whether the words behind a controller tell a joint's quantity."""
+    return any(map(_QUANTITY.fullmatch, lower[lower.index(_CONTROLLER) :]))
 
 
 def _controlled(words: Words) -> JointColumn | UnusedColumn | None:
